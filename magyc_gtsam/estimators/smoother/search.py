@@ -100,7 +100,10 @@ def fit_field_chain(
             places = (starts.from_prior(windows, known.soft_iron, each, bias) for each in (known.hard_iron, iron))
             begun = min((begin(chain, each, free, patience) for each in places), key=lambda fit: fit.reduced.cost)
         check_axes = cache(partial(axes.check, recording))  # cached: it costs as much as a few iterations
-        best = first = _descended(samples, begun, check_axes)
+        near = descend(begun, NEAR)
+        if not near.converged:
+            check_axes()
+        best = first = _reintegrated(samples, near)
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
         if not explained or level.magnetometer > 0.1 * strength(best):
@@ -114,8 +117,8 @@ def fit_field_chain(
                 return best, None
         best = _adapted(samples, best, reject, short_term)
     else:
-        near = begin(chain, start[:PARAMETERS], free, patience)
-        best, rival, explained = refit_field_chain(samples, near, reject, short_term), None, True
+        begun = begin(chain, start[:PARAMETERS], free, patience)
+        best, rival, explained = refit_field_chain(samples, begun, reject, short_term), None, True
     if best.hopeless:
         if brief:
             raise MagycError(f"no minimum within {best.iterations} iterations")
@@ -125,13 +128,14 @@ def fit_field_chain(
         explained = best.converged and misfit(best, level) < _EXPLAINED * 3 * len(windows)
     if start is None and not brief and (not explained or level.magnetometer > 0.1 * strength(best)):
         # The misfit exceeds the sensors' noise: the minimum may be a local one.
-        fits, ends = [best], [first]
+        fits, ends = [best], [near, first]
         for parameters in starts.others(windows, best.state.parameters[9:12]):
             progress(0.4 + 0.1 * len(fits))
-            fit = _descended(samples, begin(chain, parameters, free, BRIEF))
+            near = descend(begin(chain, parameters, free, BRIEF), NEAR)
+            fit = near if any(same(near, end) for end in ends) else _reintegrated(samples, near)
             if any(same(fit, end) for end in ends):
                 continue
-            ends.append(fit)
+            ends += [near, fit]
             if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # otherwise the delay diverged
                 fits.append(_adapted(samples, fit, reject, short_term))
         best, _ = lowest(fits)
@@ -244,14 +248,13 @@ def _adapted(
     return replace(_upright(fit), converged=False)
 
 
-def _descended(samples: Preintegration, fit: Fit, doubt: Callable[[], None] = lambda: None) -> Fit:
-    """Return the fit at the minimum for the present noise levels and weights, with the gyroscope integrated near it.
+def _descended(samples: Preintegration, fit: Fit) -> Fit:
+    """Return the fit at the minimum for the present noise levels and weights, with the gyroscope integrated near it."""
+    return _reintegrated(samples, descend(fit, NEAR))
 
-    `doubt` is called if the first descent does not converge, and may raise.
-    """
-    fit = descend(fit, settled=NEAR)
-    if not fit.converged:
-        doubt()
+
+def _reintegrated(samples: Preintegration, fit: Fit) -> Fit:
+    """Return the minimum with the gyroscope integrated near it, from the minimum `fit` of an integration elsewhere."""
     for _ in range(8):
         if not moved(fit) or fit.hopeless:
             break
@@ -259,7 +262,7 @@ def _descended(samples: Preintegration, fit: Fit, doubt: Callable[[], None] = la
         chain = replace(fit.chain, windows=samples.integrate(parameters[9:12], parameters[DELAY]))
         state = chain.start(parameters)
         fit = replace(fit, chain=chain, state=state, reduced=chain.eliminate(state, fit.weights))
-        fit = descend(fit, settled=NEAR)
+        fit = descend(fit, NEAR)
     return _upright(fit)
 
 
