@@ -156,13 +156,14 @@ class LargestValue:
         if known.any():
             self.full_scale = float(np.fmax(self.full_scale, levels.level[known].max()))
         last = levels.number[-1]
-        earlier = self._stamps if not last else np.empty(0)
-        self._stamps = np.concatenate([earlier, time[levels.at & (levels.number == last)]])[-_REMEMBERED:]
+        stamps = self._stamps if not last else np.empty(0)
+        self._stamps = np.concatenate([stamps, time[levels.at & (levels.number == last)]])[-_REMEMBERED:]
         self._level, self._at, self._known = float(levels.level[-1]), bool(levels.at[-1]), bool(known[-1])
-        values, where = np.unique(np.concatenate([self._near[:, 0], x]), return_inverse=True)
-        often = np.bincount(where, np.concatenate([self._near[:, 1], np.ones(len(x))]))
-        kept = values > self._level - _BAND * step[-1]
-        self._near = np.column_stack([values[kept], often[kept]])
+        low = self._level - _BAND * step[-1]
+        earlier, near = self._near[self._near[:, 0] > low], x[x > low]
+        values, where = np.unique(np.concatenate([earlier[:, 0], near]), return_inverse=True)
+        often = np.bincount(where, np.concatenate([earlier[:, 1], np.ones(len(near))]))
+        self._near = np.column_stack([values, often])
 
     def state(self) -> Mapping[str, Array]:
         """Return the state for `restore`."""
