@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,19 +24,29 @@ class KeyframeBuffer:
     ) -> None:
         self._mounting, self._delay, self._interval_mean = body_R_sensor, delay, interval_mean
         self._field_time: list[float] = []
-        self._field: list[Sequence[float]] = []
+        self._field: list[list[float]] = []
         self._rate_time: list[float] = []
-        self._rate: list[Sequence[float]] = []
+        self._rate: list[list[float]] = []
 
-    def add_field(self, time: float, magnetic_field: Sequence[float]) -> None:
-        """Add a magnetometer sample: s, (3,) T."""
-        self._field_time.append(time - self._delay)
-        self._field.append(magnetic_field)
+    def add_field(self, time: ArrayLike, magnetic_field: ArrayLike) -> None:
+        """Add a magnetometer sample, s and (3,) T, or a block, (N,) and (N, 3).
 
-    def add_rate(self, time: float, angular_rate: Sequence[float]) -> None:
-        """Add a gyroscope sample: s, (3,) rad/s, body frame."""
-        self._rate_time.append(time)
-        self._rate.append(angular_rate)
+        Raises:
+            MagycError: stamps and samples do not match.
+        """
+        stamps, samples = _block("add_field", time, magnetic_field)
+        self._field_time += [stamp - self._delay for stamp in stamps]
+        self._field += samples
+
+    def add_rate(self, time: ArrayLike, angular_rate: ArrayLike) -> None:
+        """Add a gyroscope sample, s and (3,) rad/s in the body frame, or a block, (N,) and (N, 3).
+
+        Raises:
+            MagycError: stamps and samples do not match.
+        """
+        stamps, samples = _block("add_rate", time, angular_rate)
+        self._rate_time += stamps
+        self._rate += samples
 
     def close(self, keyframe: float, bias: ArrayLike = (0.0, 0.0, 0.0)) -> KeyframeField:
         """Return the block of all magnetometer samples that the gyroscope covers; keep later samples and drop earlier
@@ -70,3 +78,14 @@ class KeyframeBuffer:
             keep = min(keep, max(int(np.searchsorted(self._rate_time, self._field_time[0])) - 1, 0))
         del self._rate_time[:keep], self._rate[:keep]
         return block
+
+
+def _block(name: str, time: ArrayLike, value: ArrayLike) -> tuple[list[float], list[list[float]]]:
+    """Return stamps and samples of one sample or a block."""
+    stamps, samples = np.asarray(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
+    if stamps.ndim > 1 or samples.shape != (*stamps.shape, 3):
+        raise MagycError(
+            f"{name}: samples of shape {samples.shape} for stamps of shape {stamps.shape}, expected "
+            "(3,) for a number, or (N, 3) for (N,)"
+        )
+    return np.atleast_1d(stamps).tolist(), np.atleast_2d(samples).tolist()

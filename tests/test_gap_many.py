@@ -94,7 +94,7 @@ def test_many_logs_are_one_comparison(late: list[mg.Recording], tmp_path: Path) 
     assert effect.value == pytest.approx(20.0, abs=4 * effect.sigma[0])
     assert [log.log for log in effect.logs] == ["dive 0", "dive 1", "dive 2"]
     assert [own.log for own in gap.own] == ["mute"]
-    assert "of the instrument" in gap.sentence
+    assert "in the instrument, the same in all logs" in gap.sentence
     assert all(c.delay == pytest.approx(0.02, abs=0.02) for c in gap.calibrations.values())
     assert json.loads(json.dumps(gap.to_dict()))["effects"][0]["logs"][1]["log"] == "dive 1"
 

@@ -103,7 +103,7 @@ def test_an_axis_that_flickers_between_two_values_is_not_trusted() -> None:
     for name, sensor in (("flickering-axis", "magnetometer"), ("flickering-gyroscope-axis", "gyroscope")):
         for share in (FAULTS[name].weak, FAULTS[name].strong):  # a fifth of the log, and more than half of it
             recording = record("moderate", 2100, FAULTS[name], share, name).recording(name)
-            assert f"of the {sensor} has but two values" in flickers(recording)
+            assert f"of the {sensor} has only two values" in flickers(recording)
             assert not calibrate(recording).trusted
     for name in ("clean", "coarse", "coarse-gyroscope", "dead-gyroscope"):
         fault = FAULTS[name]

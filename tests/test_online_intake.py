@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -87,3 +88,25 @@ def test_the_calibration_goes_on(tmp_path: Path) -> None:
         without.update(time, field, rate)
     assert online.progress.left_out == 2
     assert online.calibration.to_dict() == without.calibration.to_dict()
+
+
+@pytest.mark.parametrize("method", ["smoother", "magyc-ifg"])
+def test_a_copy_by_pickle_goes_on_alike(method: str) -> None:
+    recording = mg.simulate("wide", 60, seed=3).recording
+    rows = (recording.time, recording.magnetic_field, recording.angular_rate)
+    online = mg.OnlineCalibrator(method)
+    online.update(*(each[:301] for each in rows))
+    copied = pickle.loads(pickle.dumps(online))
+    for one in (online, copied):
+        one.update(*(each[301:] for each in rows))
+    assert copied.calibration.hard_iron.tolist() == online.calibration.hard_iron.tolist()  # type: ignore[union-attr]
+
+
+def test_what_is_no_number_is_refused() -> None:
+    zero = np.zeros(3)
+    for sample, says in (
+        (("a", zero, zero), "time: not a number"),
+        ((0.0, "x", zero), "magnetic_field: not an array"),
+    ):
+        with pytest.raises(mg.MagycError, match=says):
+            mg.OnlineCalibrator().update(*sample)  # type: ignore[arg-type]

@@ -235,6 +235,19 @@ def test_buffer_cuts_the_same_blocks():
         np.testing.assert_allclose(cut.design, again.design, atol=1e-5)  # slopes at the cut are one-sided
 
 
+def test_buffer_takes_samples_in_blocks():
+    recording = simulate("wide", 4.0, 20, 2).recording
+    single, together = KeyframeBuffer(), KeyframeBuffer()
+    for time, field, rate in zip(recording.time, recording.magnetic_field, recording.angular_rate, strict=True):
+        single.add_rate(time, rate)
+        single.add_field(time, field)
+    together.add_rate(recording.time, recording.angular_rate)
+    together.add_field(recording.time, recording.magnetic_field)
+    np.testing.assert_array_equal(together.close(2.0).design, single.close(2.0).design)
+    with pytest.raises(MagycError, match=r"add_field: samples of shape \(2, 3\) for stamps of shape \(3,\)"):
+        together.add_field(recording.time[:3], recording.magnetic_field[:2])
+
+
 @pytest.mark.parametrize(
     "call",
     [

@@ -18,13 +18,14 @@ from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder
 from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
 from magyc_gtsam.foreign_text import printable
+from magyc_gtsam.gap.effects import LABELS
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.many.result import GapOfMany, SharedEffect
 
-EFFECTS = ("effect", "whose", "value", "logs", "nats", "or")
-VALUES = ("effect", "log", "value", "it has it")
-WEIGHTS = ("hypothesis", "nats, one value", "nats, one in each log")
+EFFECTS = ("effect", "belongs to", "value", "logs", "evidence (nats)", "or")
+VALUES = ("effect", "log", "value", "probability")
+WEIGHTS = ("hypothesis", "one value (nats)", "one in each log (nats)")
 _SHOWN = 8  # hypotheses on the terminal; page and gap.json have more
 _LISTED = 20
 _GOOD = ("none", "closed")
@@ -91,7 +92,7 @@ def effect_rows(gap: GapOfMany) -> list[list[str]]:
             value_of(effect, effect.value, effect.sigma) if len(effect.value) else "one in each log",
             f"{len(effect.logs)} of {len(gap.calibrations)}",
             f"{effect.evidence:.0f}",
-            ", ".join(effect.ambiguous_with),
+            ", ".join(LABELS.get(name, name) for name in effect.ambiguous_with),
         ]
         for effect in gap.effects
     ]
@@ -111,14 +112,20 @@ def weight_rows(gap: GapOfMany, count: int) -> list[list[str]]:
 
 
 def _show(gap: GapOfMany, folder: Path) -> None:
-    show(gap.sentence, "")
+    show(f"{'✔' if gap.verdict in _GOOD else '✘'} {_headline(gap)}: {gap.sentence}", "")
     if gap.effects:
         show_table(EFFECTS, effect_rows(gap))
         show("")
     show(*(f"{own.log}: {own.sentence}" for own in gap.own))
-    show("", "What is left, against the model with these:")
+    show("", "Other hypotheses, against the model with these effects:")
     show_table(WEIGHTS, weight_rows(gap, _SHOWN))
     show("", f"results: {folder}", f"page: {folder / 'report.html'}")
+
+
+def _headline(gap: GapOfMany) -> str:
+    """Return the verdict in words, as for one log."""
+    headlines = {"none": "Nothing was found missing", "closed": "Gap found and closed"}
+    return headlines.get(gap.verdict, "Gap found, not closed")
 
 
 def _page(gap: GapOfMany) -> str:
@@ -133,8 +140,7 @@ def _page(gap: GapOfMany) -> str:
         Section("Effects", EFFECTS, effect_rows(gap), [] if gap.effects else ["None."]),
         Section("Log by log", VALUES, values),
         Section("Logs left out", sentences=[f"{own.log}: {own.sentence}" for own in gap.own] or ["None."]),
-        Section("What is left, against the model with these", WEIGHTS, weight_rows(gap, _LISTED)),
+        Section("Other hypotheses, against the model with these effects", WEIGHTS, weight_rows(gap, _LISTED)),
     ]
-    headline = {"none": "Nothing is missing", "closed": "Named and added"}.get(gap.verdict, "The gap is left open")
     kept = [section for section in sections if section.rows or section.sentences]
-    return summary_page("The gap over many logs", headline, gap.verdict in _GOOD, [gap.sentence], kept)
+    return summary_page("The gap over many logs", _headline(gap), gap.verdict in _GOOD, [gap.sentence], kept)

@@ -64,19 +64,19 @@ _METHODS = {
         "magyc_gtsam.estimators.ellipsoid.ellipsoid:calibrate_ellipsoid",
     ),
     "kok-schon": Method(
-        "algebraic least-squares ellipsoid fit as a semidefinite program, so that it is an ellipsoid",
+        "algebraic least-squares ellipsoid fit as a semidefinite program; its result is always an ellipsoid",
         "Kok and Schön 2016, section V",
         (),
         "magyc_gtsam.estimators.ellipsoid.kok_schon:calibrate_kok_schon",
     ),
     "l1-ellipsoid": Method(
-        "algebraic L1 ellipsoid fit as a semidefinite program; bears outliers",
+        "algebraic L1 ellipsoid fit as a semidefinite program; robust to outliers",
         "Calafiore 2002; Autocal, section II-C",
         (),
         "magyc_gtsam.estimators.ellipsoid.l1_ellipsoid:calibrate_l1_ellipsoid",
     ),
     "autocal": Method(
-        "robust geometric ellipsoid fit from an L1 start, with covariance; bears disturbances",
+        "robust geometric ellipsoid fit from an L1 start, with covariance",
         "Hong, Kang and Kim, Autocal, 2020",
         (),
         "magyc_gtsam.estimators.autocal.autocal:calibrate_autocal",

@@ -48,7 +48,7 @@ def contradictions_of(
             if factors[i].mean is not None:
                 off = _largest(factors[i], instrument, int(k))
                 contradictions.append(
-                    Contradiction(i, factors[i].name, f"{off}: left out, as beside iron that is not its own")
+                    Contradiction(i, factors[i].name, f"{off}: left out, as if recorded beside foreign iron")
                 )
     for group in groups[1:]:
         if len(group) == 1:

@@ -18,7 +18,7 @@ from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.online import state_file
 from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
-from magyc_gtsam.online.intake import Intake, vector
+from magyc_gtsam.online.intake import Intake, scalar, vector
 from magyc_gtsam.recording import Array
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 
@@ -87,7 +87,7 @@ class OnlineCalibrator:
             MagycError: shapes or units are wrong, or a clock was set back. No sample of the block is taken then.
         """
         if isinstance(time, (float, int)) or np.ndim(time) == 0:
-            stamp = float(np.asarray(time, dtype=np.float64))
+            stamp = scalar("time", time)
             self._waiting.append(
                 (stamp, vector("magnetic_field", magnetic_field), vector("angular_rate", angular_rate))
             )
@@ -162,6 +162,10 @@ class OnlineCalibrator:
             "faults": self._faults.state(),
         }
         return {f"{part}/{name}": value for part, state in parts.items() for name, value in state.items()}
+
+    def __reduce__(self) -> tuple[Any, ...]:  # copies and pickles as `save` and `load` do
+        self._catch_up()
+        return OnlineCalibrator._restored, (self.method, self.options, self._state())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> OnlineCalibrator:

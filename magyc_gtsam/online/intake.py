@@ -228,11 +228,26 @@ def _wait(waiting: list[int], time: Array, i: int) -> None:
     waiting.append(i)
 
 
+def scalar(name: str, value: ArrayLike) -> float:
+    """Return one number.
+
+    Raises:
+        MagycError: the value is not a number.
+    """
+    try:
+        return float(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise MagycError(f"{name}: not a number ({error})") from None
+
+
 def vector(name: str, value: ArrayLike | None) -> Array:
     """Return a copy (3,) of one sample, NaN for None."""
     if value is None:
         return np.full(3, np.nan)
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MagycError(f"{name}: not an array of numbers ({error})") from None
     if array.shape != (3,):
         raise MagycError(f"{name}: shape {array.shape} for one stamp, expected (3,)")
     return array

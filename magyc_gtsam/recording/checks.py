@@ -203,6 +203,6 @@ def without_no_values(name: str, value: Array) -> tuple[Array, str | None]:
     clean.flags.writeable = False
     others = f", where the others are {kept.min():.4g} to {kept.max():.4g}" if len(kept) else ""
     return clean, (
-        f"channel {name!r}: {missing.any(axis=1).sum()} of {len(value)} samples are no values and were left out, the "
+        f"channel {name!r}: {missing.any(axis=1).sum()} of {len(value)} samples are not values and were left out, the "
         f"first is {columns[row, place]:g} in row {row}{others}; a sample without a value is best written as NaN"
     )

@@ -191,11 +191,11 @@ def confusion_sentences(gap: Gap) -> list[str]:
     untested = {u.name for u in gap.untested}
     named = {effect.name for effect in gap.effects}
     for effect in gap.effects:
-        alike = ", ".join(name for name in effect.ambiguous_with if name not in untested)
+        alike = ", ".join(LABELS.get(name, name) for name in effect.ambiguous_with if name not in untested)
         if alike and named.issuperset(effect.ambiguous_with):
             sentences.append(f"{effect.label}: it can be distinguished from {alike} only with both in the model.")
             continue
-        unseen = ", ".join(name for name in effect.ambiguous_with if name in untested)
+        unseen = ", ".join(LABELS.get(name, name) for name in effect.ambiguous_with if name in untested)
         if alike:
             sentences.append(f"{effect.label}: this motion cannot distinguish it from {alike}.")
         if unseen:

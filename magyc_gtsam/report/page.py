@@ -62,7 +62,6 @@ def write_report(
     path = Path(target)
     if path.suffix != ".html":
         path = path / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, render(recording, calibration, residuals, verdict))
     return path
 

@@ -32,7 +32,7 @@ class Spikes(SingleSamples):
     """Find the spikes of the gyroscope, from its 65th sample on; a sample that jumps is undecided for six more."""
 
     def __init__(self) -> None:
-        super().__init__("angular_rate", "are spikes of the gyroscope, beyond all motion about them")
+        super().__init__("angular_rate", "are spikes of the gyroscope, beyond the motion around them")
         self._rows = np.empty((0, 4))  # time and value, from the block before the undecided samples on
         self._noise = np.empty((0, 3))  # rad/s, of the full blocks of these rows
         self._undecided = 0  # index of the first undecided sample in these rows

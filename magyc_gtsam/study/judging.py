@@ -136,7 +136,7 @@ def _contradictions(reference: MethodOutcome, calibration: Calibration, shown: t
             narrow = (
                 f"{off:.0f} sigmas of both: its own sigma is too narrow"
                 if name in calibration.sigma
-                else f"{off:.0f} of the latter's sigmas, and it states none"
+                else f"{off:.0f} of the sigmas that {reference.method} states, and it states none itself"
             )
             doubts.append(f"its {words} is {size} from that of {reference.method}, {narrow}")
     return doubts

@@ -245,14 +245,14 @@ def _in_time(
 
 _VARIES = "the field varies along the way by {}"
 _CHANGES = "the hard iron changes with time by {}"
-_GOES = "the field of the place goes with the attitude by {}"
+_GOES = "the field of the place varies with the attitude by {}"
 _TILTS = "the reading's error grows with the tilt, to {}"
 _TURNS = "in fast turns the reading is off by {}"
 _DELAYED = "the delay varies, or a filter is in it, which is worth {}"
 _SCALED = "the gyroscope's scale or axes are off by {}"
 _BIASED = "the gyroscope's bias changes with time by {}"
 _BENT = "in fast turns the gyroscope is off by {} of its rate"
-_TILTED = "the gyroscope's bias goes with the attitude by {}"
+_TILTED = "the gyroscope's bias varies with the attitude by {}"
 
 FAMILIES = (
     _in_time("wander:slow", _VARIES, WindowMotion.in_world, 0.05, SLOW, first=True, of_place=True),

@@ -109,7 +109,7 @@ def flickers(recording: Streams) -> str:
         for letter, share in zip("xyz", _shares_of_two_values(samples.value), strict=True):
             if share:
                 return (
-                    f"axis {letter} of the {name} has but two values for {share:.0%} of the recording, and noise "
+                    f"axis {letter} of the {name} has only two values in {share:.0%} of the recording, but noise "
                     "elsewhere: it is stuck"
                 )
     return ""

@@ -204,7 +204,7 @@ def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
     """Return why a probable misalignment cannot be that of the chips: too large, or not constant; "" if it can."""
     size = float(np.degrees(np.linalg.norm(angle)))
     most = float(np.degrees(prior.most))
-    remedy = "calibrate where it is even, away from steel and in one place"
+    remedy = "calibrate where the field is uniform, away from steel and in one place"
     if np.linalg.norm(angle) > prior.most:
         return (
             f"the field varies along the way: it would take chips that are {size:.1f}° askew, and boards are within "

@@ -42,8 +42,8 @@ class Prior:
         all_named: log odds that nothing of such a cause is detected as unknown beside the effects that it resembles. A
             magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. With both, the
             truth of statements from 0.8 to 0.95 (0.90) is 0.83 instead of 0.70 on 122 recordings of edition 64, and
-            0.82 for 0.84 on 134 of edition 63 (each kind of recording weighted as in an edition), on which they
-            were chosen, and 0.92 on 103 unseen ones of edition 66. Ten times for each effect is as true there, but
+            falls from 0.84 to 0.82 on 134 of edition 63 (each kind of recording weighted as in an edition), on which
+            they were chosen, and 0.92 on 103 unseen ones of edition 66. Ten times for each effect is as true there, but
             reduces the probability of known effects to 0.1 in real logs with four or five effects.
         shares: power of the rest of such a cause relative to the imitated effect, all equally probable.
         form: share of the power of an effect by which it may deviate from its form. No real effect has its catalogue

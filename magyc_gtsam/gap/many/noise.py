@@ -56,7 +56,7 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
         InLog(log.name, p, value[None], np.full(1, np.nan), dict(one.setting))
         for (log, one, p), value in zip(here, each, strict=True)
     )
-    whose = "of the instrument, in" if instrument else "of the place or the day, in"
+    whose = "in the instrument, in" if instrument else "from the place or the day, in"
     return SharedEffect(
         name,
         LABELS[name],

@@ -98,11 +98,10 @@ def _sentence(
     count: int,
 ) -> str:
     term = TERMS[each.name]
-    also = (
-        f" (or {', '.join(LABELS[name] for name in each.rivals)}: these logs cannot tell)" if each.rivals else ""
-    )
+    rivals = ", ".join(LABELS[name] for name in each.rivals)
+    also = f" (or {rivals}: these logs cannot distinguish them)" if rivals else ""
     if each.instrument >= 0.5:
         said = term.sentence(value, sigma, setting, rows) if len(value) else term.label
-        return f"of the instrument, the same in all logs: {said}{also}"
+        return f"in the instrument, the same in all logs: {said}{also}"
     names = ", ".join(log.log for log in inside[:_FIRST]) + (" and others" if len(inside) > _FIRST else "")
-    return f"of the place or the day, in {len(inside)} of {count} logs ({names}): {term.label}{also}"
+    return f"from the place or the day, in {len(inside)} of {count} logs ({names}): {term.label}{also}"

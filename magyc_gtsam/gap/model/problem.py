@@ -172,7 +172,8 @@ def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
             break
         if not changes[-1] < _RUNAWAY * changes[1]:
             raise MagycError(
-                f"{' and '.join(t.name for t in terms)}: as large as this, a reading belongs to more than one rate"
+                f"{' and '.join(t.name for t in terms)}: with values this large, one reading corresponds to more than "
+                "one rate"
             )
     return true
 

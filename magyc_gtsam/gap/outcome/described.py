@@ -20,7 +20,7 @@ IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _OPEN = "named, not corrected: this motion does not determine all of its values"
 _UNSURE = "named, not corrected: an unrecorded channel may be the cause"
-_IMPROBABLE = "named, not corrected: beside all else that may be there it is improbable"
+_IMPROBABLE = "named, not corrected: it is improbable beside the other possible effects"
 _UNPAID = (
     "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )

@@ -207,7 +207,7 @@ def _untested(names: tuple[str, ...], base: Refit) -> tuple[Untested, ...]:
         Untested(
             n,
             LABELS[n],
-            f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or not in half of it, or it stands still",
+            f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or not in half of it, or it is constant",
         )
         for n in names
         if n in TERMS and TERMS[n].missing(base.twin)

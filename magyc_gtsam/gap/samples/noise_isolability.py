@@ -32,7 +32,7 @@ def noise_isolability(recording: Recording, noise: float) -> tuple[Isolability, 
         _row(
             "coloured-noise",
             _coloured(samples, rate) * noise,
-            f"noise that hangs together over {_CORRELATION_TIME:.0f} s",
+            f"noise that is correlated over {_CORRELATION_TIME:.0f} s",
         ),
         _row("spikes", _spikes(samples) * noise, f"spikes on {_SHARE:.0%} of the samples", matters=_SPIKE_MATTERS),
         _row("tone", _tone(samples) * noise, "a tone above the motion's own frequencies"),

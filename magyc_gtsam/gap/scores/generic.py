@@ -50,13 +50,13 @@ def families(twin: Twin) -> list[Family]:
         result += [
             Family(
                 f"time:sensor-{knots}",
-                "time, in the sensor's axes",
+                "time in the sensor's axes",
                 _on_field(partial(_hats_of, knots=knots)),
             ),
-            Family(f"time:world-{knots}", "time, in the world's axes", partial(_in_world, knots=knots)),
+            Family(f"time:world-{knots}", "time in the world's axes", partial(_in_world, knots=knots)),
             Family(
                 f"time:gyroscope-{knots}",
-                "time, on the gyroscope",
+                "time on the gyroscope",
                 _on_rate(partial(_hats_of, knots=knots), False),
             ),
         ]
@@ -64,35 +64,35 @@ def families(twin: Twin) -> list[Family]:
     result += [
         Family("field:quadratic", attitude, _on_field(lambda t: _powers(_unit(t), 2, 2)), (3, 1)),
         Family("field:cubic", attitude, _on_field(lambda t: _powers(_unit(t), 2, 3))),
-        Family("rate:magnetometer", "the rate of turn, on the magnetometer", _on_field(_rate_powers)),
-        Family("rate:product", "the rate of turn, on the magnetometer", _on_field(_rate_products), (3, 1)),
+        Family("rate:magnetometer", "the rate of turn on the magnetometer", _on_field(_rate_powers)),
+        Family("rate:product", "the rate of turn on the magnetometer", _on_field(_rate_products), (3, 1)),
         Family("rate×field", "rate of turn times field", _on_field(_rate_times_field)),
         Family("lag", "a lag that depends on the rate of turn", _uneven_lag, (3, 1)),
         Family(
             "rate:linear",
-            "the rate of turn, on the gyroscope",
+            "the rate of turn on the gyroscope",
             _on_rate(lambda s: s.need("rate")),
             (),
             RULES.determined_rate,
         ),
         Family(
-            "rate:quadratic", "the rate of turn, on the gyroscope", _on_rate(_bent_rate), (), RULES.determined_rate
+            "rate:quadratic", "the rate of turn on the gyroscope", _on_rate(_bent_rate), (), RULES.determined_rate
         ),
-        Family("rate:gyroscope", "products of rates of turn, on the gyroscope", _on_rate(_rate_squares), (3, 1)),
-        Family("field:gyroscope", "attitude, on the gyroscope", _field_on_rate, (3,)),
+        Family("rate:gyroscope", "products of rates of turn on the gyroscope", _on_rate(_rate_squares), (3, 1)),
+        Family("field:gyroscope", "attitude on the gyroscope", _field_on_rate, (3,)),
     ]
     if twin.windows.acceleration is not None:
         result += [
             Family("tilt:magnetometer", "pitch and roll", _on_field(lambda t: _tilts(t.windows)), (3, 1)),
-            Family("tilt:gyroscope", "pitch and roll, on the gyroscope", _on_rate(_tilts, False)),
-            Family("tilt:products", "pitch and roll, on the gyroscope", _on_rate(_tilt_products, False), (3, 1)),
+            Family("tilt:gyroscope", "pitch and roll on the gyroscope", _on_rate(_tilts, False)),
+            Family("tilt:products", "pitch and roll on the gyroscope", _on_rate(_tilt_products, False), (3, 1)),
         ]
     for kind in twin.windows.channels:
         where = f"the channel {kind}"
         result += [
             Family(f"{kind}:magnetometer", where, _on_field(partial(_channel_of, kind=kind))),
             Family(
-                f"{kind}:gyroscope", f"{where}, on the gyroscope", _on_rate(partial(_channel, kind=kind), False)
+                f"{kind}:gyroscope", f"{where} on the gyroscope", _on_rate(partial(_channel, kind=kind), False)
             ),
         ]
         if kind != "position":  # position times field is the gradient of the field
