@@ -215,7 +215,7 @@ def shortened(window: float) -> float:
 
 def refit_field_chain(samples: Preintegration, fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
     """Descend from a fit to the minimum over the samples' windows, with its own noise levels and weights."""
-    return _adapted(samples, _descended(samples, fit), reject, short_term)
+    return _adapted(samples, _reintegrated(samples, descend(fit, NEAR)), reject, short_term)
 
 
 def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
@@ -244,13 +244,8 @@ def _adapted(
             return fit
         if fit.hopeless:
             break
-        fit = _descended(samples, fit)
+        fit = _reintegrated(samples, fit)
     return replace(_upright(fit), converged=False)
-
-
-def _descended(samples: Preintegration, fit: Fit) -> Fit:
-    """Return the fit at the minimum for the present noise levels and weights, with the gyroscope integrated near it."""
-    return _reintegrated(samples, descend(fit, NEAR))
 
 
 def _reintegrated(samples: Preintegration, fit: Fit) -> Fit:
