@@ -43,7 +43,7 @@ def run(
             "(share of the data after which magyc-ifg stands still), dive-survey (its Fig. 3b), "
             "review (Table 2 and Figs 2 to 5 of the review of magnetometer-only methods; it takes 250 runs), "
             "real-tracks (its Fig. 6, and Tables IV and V of the Autocal paper, on logs of one unit), gap (blind test "
-            "of the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out), "
+            "of the gap workflow), gap-strengths (the strengths of its effects, and how visible they are), "
             "faults (wrong and trusted, right, or refused under faults of sensors, clocks, surroundings and "
             "motion), known (skews of the chips; an earlier calibration and the field's strength as facts), "
             "duration (heading error against minutes and amplitude), autocal (Fig. 5 and 6 of the Autocal paper, and "
@@ -56,66 +56,82 @@ def run(
     disturbed: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="efficiency: share of seconds with up to 50 µT added.")
     ] = 0.0,
-    gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Deviation per sample.")] = 5.0,
+    gyroscope_noise: Annotated[
+        float,
+        typer.Option(
+            metavar="MRAD/S",
+            help="efficiency, settling, table-one: 1σ per sample.",
+        ),
+    ] = 5.0,
     motion: Annotated[
         list[str] | None,
         typer.Option(
-            help="gap, faults: may be repeated; default wide, moderate and multi; of faults wide, moderate, low, tiny."
+            help="gap, faults: motion to simulate; may be repeated. Default: wide, moderate, multi; for faults wide, "
+            "moderate, low and tiny."
         ),
     ] = None,
     sets: Annotated[
         list[str] | None,
-        typer.Option("--set", help="gap: none, single, pair, withheld, foreign; may be repeated; default all."),
+        typer.Option(
+            "--set",
+            help="gap: none, single, pair, withheld or foreign; may be repeated. Default: all.",
+        ),
     ] = None,
     log: Annotated[
         list[str] | None,
         typer.Option(
             metavar="LOG[@START:END]",
-            help="gap: real recording to put effects into, of which seconds START to END; may be repeated. "
-            "real-tracks: logs of one unit, first the one that the others are held against.",
+            help="gap: real recording into which effects are put, from second START to END; may be repeated. "
+            "real-tracks: logs of one unit; the others are compared with the first.",
         ),
     ] = None,
     sensor: Annotated[
-        str, typer.Option(metavar="magnetometer|accelerometer", help="real-tracks: which one is calibrated.")
+        str, typer.Option(metavar="magnetometer|accelerometer", help="real-tracks: sensor to calibrate.")
     ] = "magnetometer",
-    edition: Annotated[int, typer.Option(min=0, help="gap: of the seeds.")] = 1,
+    edition: Annotated[int, typer.Option(min=0, help="gap: number of the set of seeds.")] = 1,
     foreign: Annotated[
         Path | None,
         typer.Option(
             metavar="MODULE.py",
-            help="gap: instead of all else, effects that are in no catalogue: the functions of this Python file.",
+            help="gap: test only the effects that the functions of this Python file add; they are in no catalogue.",
         ),
     ] = None,
-    fault: Annotated[list[str] | None, typer.Option(help="faults: may be repeated; default all.")] = None,
-    by: Annotated[
-        list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
+    fault: Annotated[
+        list[str] | None, typer.Option(help="faults: one to study; may be repeated. Default: all.")
     ] = None,
-    first_seed: Annotated[int, typer.Option(min=0, help="efficiency, faults, known: of the first recording.")] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Processes, of all but efficiency and gap.")] = 2,
+    by: Annotated[
+        list[str] | None,
+        typer.Option(help="faults: batch, online or gap; may be repeated. Default: all."),
+    ] = None,
+    first_seed: Annotated[
+        int, typer.Option(min=0, help="efficiency, faults, known: seed of the first recording.")
+    ] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes; efficiency and gap use one.")] = 2,
     engine: Annotated[
         str,
         typer.Option(
             metavar="local|tcp://…",
-            help="This machine, or a dask.distributed cluster; of the papers, duration, leaderboard.",
+            help="This machine, or a dask.distributed cluster; for the papers' studies, duration and leaderboard.",
         ),
     ] = "local",
     folder: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="leaderboard: of recordings that are there, or with --base-url where to keep them; default the "
-            "user's cache.",
+            help="leaderboard: folder that holds the recordings, or with --base-url the one to fetch them into. "
+            "Default: the user's cache.",
         ),
     ] = None,
     base_url: Annotated[
         str | None,
         typer.Option(
-            metavar="URL", help="leaderboard: of a mirror, a folder with registry.txt; default the authors' own."
+            metavar="URL",
+            help="leaderboard: mirror, a folder with registry.txt. Default: the authors' own.",
         ),
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(help="leaderboard: may be repeated; default all, those of other packages too."),
+        typer.Option(help="leaderboard: may be repeated. Default: all, including those of other packages."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -123,8 +139,8 @@ def run(
             "--output",
             "-o",
             metavar="DIR",
-            help="An interrupted study goes on there; default results/ and its name (gap: results/blindtest). "
-            "Of all but efficiency and gap-strengths.",
+            help="Folder of results, in which an interrupted study continues. Default: results/STUDY (gap: "
+            "results/blindtest). Not used by efficiency and gap-strengths.",
         ),
     ] = None,
 ) -> int:
