@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -99,6 +100,16 @@ def test_a_second_run_replaces_the_files_in_subfolders(tmp_path: Path) -> None:
             (part / "calibrations" / "a.yaml").write_text(text)
     assert (tmp_path / "out" / "calibrations" / "a.yaml").read_text() == "second"
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["calibrations"]
+
+
+def test_a_folder_that_takes_no_files_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(**_: object) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "random-name"))
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with pytest.raises(OSError, match="No space left on device") as raised, replacing_folder(tmp_path / "out"):
+        pass
+    assert raised.value.filename == str(tmp_path)
 
 
 def test_names_from_files_do_not_reach_the_terminal_as_commands(

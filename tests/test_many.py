@@ -140,6 +140,7 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert shown["contradictions"][0][0] == 2
     following = mg.Calibration.load(folder / "next.yaml")
     assert shown["next"]["hard_iron"] == following.hard_iron.tolist()
+    assert "from one log to the next" in shown["verdict"]["sentence"]
     assert {"history.yaml", "report.html", "px4.params", "next.yaml"} <= {file.name for file in folder.iterdir()}
 
     added = tmp_path / "added"

@@ -64,8 +64,18 @@ def refuse_unwritable(file: Path) -> None:
         raise IsADirectoryError(errno.EISDIR, "expected a file, this is a folder", str(file))
     _refuse_files(file.parents)
     file.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=file.parent):  # unnamed if the system supports it, so that nothing can remain
+    # The file is unnamed if the system supports it, so that nothing can remain.
+    with _named(file.parent), tempfile.TemporaryFile(dir=file.parent):
         pass
+
+
+@contextmanager
+def _named(folder: Path) -> Iterator[None]:
+    """Raise an OSError of the block with the folder's name in place of that of a temporary file in it."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from None
 
 
 @contextmanager
@@ -80,7 +90,8 @@ def _temporary(place: Path) -> Iterator[Path]:
             # Another process that looks for orphans must not see the directory without its lock.
             with _one_at_a_time(place), _unstoppable():
                 _remove_orphans(place)
-                directory = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=place))
+                with _named(place):
+                    directory = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=place))
                 _lock(open_files.enter_context(open(directory / _LOCK, "wb")))
             yield directory
         except BaseException:

@@ -182,9 +182,8 @@ def calibrate(
     allowed = _imported(its_options).__dataclass_fields__ if its_options else function.__kwdefaults__ or {}
     unknown = sorted(given.keys() - allowed.keys())
     if unknown:
-        raise MagycError(
-            f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
-        )
+        there = ", ".join(sorted(allowed.keys() - {"progress"}))
+        raise MagycError(f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {there}")
     usable = without_faults(recording, ("magnetic_field", *entry.needs))
     try:
         result: Calibration = function(usable.recording, progress=progress, **given)

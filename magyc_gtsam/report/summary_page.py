@@ -102,7 +102,8 @@ def judged_history(history: History) -> Verdict:
             called="The logs do not belong together",
         )
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
-    scatter = f"{history.walk * 1e6:.2g} µT per square root of a {'day' if _dated(history) else 'log'}"
+    span = "per square root of a day" if _dated(history) else "from one log to the next"
+    scatter = f"{history.walk * 1e6:.2g} µT {span}"
     between = "otherwise " if jumps else ""
     excluded = len(history.contradictions)
     exclusion = f"; {excluded} more {'logs' if excluded > 1 else 'log'} left out" if excluded else ""
