@@ -16,7 +16,7 @@ from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.gap.scores.isolability import isolability
 from magyc_gtsam.gap.scores.neighbours import neighbours, product_of
-from magyc_gtsam.gap.scores.null import largest_surprises, surprises
+from magyc_gtsam.gap.scores.null import TAIL, largest_surprises, surprises, tail
 from magyc_gtsam.gap.search.naming import NOISE_LIMIT
 from magyc_gtsam.simulation.environment import CHANNELS
 
@@ -55,7 +55,12 @@ def test_largest_of_many_is_that_of_each() -> None:
     random = np.random.default_rng(0)
     ranks = np.array([1, 3, 3, 0, 9])
     statistic = random.chisquare(np.maximum(ranks, 1)[:, None], (5, 50)) * (ranks > 0)[:, None]
-    np.testing.assert_allclose(largest_surprises(statistic, ranks), surprises(statistic, ranks).max(axis=0))
+    every = np.sort(surprises(statistic, ranks).max(axis=0))
+    for count in (6, 50):
+        np.testing.assert_allclose(largest_surprises(statistic, ranks, count), every[-count:])
+    level, slope = tail(statistic, ranks)
+    assert level == pytest.approx(np.quantile(every, TAIL))
+    assert slope == pytest.approx(max((every[every > level] - level).mean(), 1.0))
 
 
 def test_noise_is_found_from_its_level_on() -> None:

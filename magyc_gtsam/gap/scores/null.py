@@ -87,10 +87,17 @@ def surprises(statistic: Array, ranks: Array) -> Array:
     return np.where(table > 1e-280, -np.log(np.maximum(table, 1e-280)), far)
 
 
-def largest_surprises(statistic: Array, ranks: np.ndarray) -> Array:
-    """Return the largest −ln p (draws,) over the variants of statistics (variants, draws)."""
-    best = [surprises(statistic[ranks == r].max(axis=0)[None], np.array([r]))[0] for r in np.unique(ranks)]
-    return np.max(best, axis=0)
+def largest_surprises(statistic: Array, ranks: np.ndarray, count: int) -> Array:
+    """Return the `count` largest of the draws' maxima of −ln p over the variants of statistics (variants, draws).
+
+    −ln p grows with the statistic: such a maximum is one of the `count` largest at the rank at which it occurs.
+    """
+    best = np.full(statistic.shape[1], -np.inf)
+    for rank in np.unique(ranks):
+        highest = statistic[ranks == rank].max(axis=0)
+        some = np.argpartition(highest, -count)[-count:]
+        best[some] = np.maximum(best[some], surprises(highest[None, some], np.array([rank]))[0])
+    return np.sort(best)[-count:]
 
 
 def quantile(surprise: float, rank: int) -> float:
@@ -100,8 +107,15 @@ def quantile(surprise: float, rank: int) -> float:
     return 2 * (surprise + (0.5 * rank - 1) * np.log(surprise) - float(gammaln(0.5 * rank)))
 
 
-def tail(largest: Array) -> tuple[float, float]:
-    """Return the 90 % quantile of the draws' maxima and the mean excess above it, the slope of the tail, at least 1."""
-    level = float(np.quantile(largest, TAIL))
+def tail(statistic: Array, ranks: np.ndarray) -> tuple[float, float]:
+    """Return the 90 % quantile of the draws' largest −ln p and the mean excess above it, the slope, at least 1.
+
+    Args:
+        statistic: (variants, draws).
+        ranks: (variants,) degrees of freedom.
+    """
+    place = TAIL * (statistic.shape[1] - 1)
+    largest = largest_surprises(statistic, ranks, statistic.shape[1] - int(place))
+    level = float(largest[0] + place % 1 * (largest[1] - largest[0]))
     beyond = largest[largest > level] - level
     return level, max(float(beyond.mean()) if len(beyond) else 1.0, 1.0)

@@ -24,7 +24,7 @@ from magyc_gtsam.gap.model.variants import Projector, Variant, determined, ready
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.generic import Family, families
 from magyc_gtsam.gap.scores.neighbours import neighbours
-from magyc_gtsam.gap.scores.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
+from magyc_gtsam.gap.scores.null import TAIL, Draws, colour, quantile, surprises, tail
 
 DRAWS = 500
 
@@ -156,8 +156,10 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
         surprise = surprises(statistics[:, None], ranks[rows])[:, 0]
         best = int(np.argmax(surprise))
         chosen = many[best]
-        level_white, _ = tail(largest_surprises(null_white[rows], ranks[rows]))
-        level, slope = tail(largest_surprises(null_coloured[rows], ranks[rows]))
+        level_white, slope = tail(null_white[rows], ranks[rows])
+        level = level_white
+        if coloured is not white:
+            level, slope = tail(null_coloured[rows], ranks[rows])
         rank = max(int(ranks[rows][best]), 1)
         beyond = limit + np.log(1 - TAIL)
         needed = max(level + slope * beyond, level_white + beyond)
