@@ -28,13 +28,17 @@ LONGEST = (
     "test_many.py",
     "test_serve_page.py",
     "test_serve_live.py",
-    "test_gap_isolability.py",
+    "test_magyc_ifg.py",
     "test_gap_find.py",
     "test_gap_honest.py",
-    "test_magyc_ifg.py",
     "test_online_changes.py",
     "test_gap_values.py",
     "test_gap_channels.py",
+    "test_gap_isolability.py",
+    "test_smoother.py",
+    "test_study_faults.py",
+    "test_summary_page.py",
+    "test_without_gtsam.py",
 )
 
 

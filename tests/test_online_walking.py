@@ -31,7 +31,7 @@ def walking(motion, seed, *, hard_iron=0.0, bias=0.0, duration=700.0):
 
 def test_a_walking_hard_iron_is_known_as_well_as_is_said():
     scores = []
-    for seed in range(3):
+    for seed in range(2):
         recording, hard_iron, _ = walking("wide", seed, hard_iron=4e-6, duration=280.0)
         online = feed(OnlineCalibrator(hard_iron_walk=4e-6), recording, step=50.0)
         assert online.converged
@@ -40,7 +40,7 @@ def test_a_walking_hard_iron_is_known_as_well_as_is_said():
         covariance = online.calibration.covariance[6:9, 6:9]
         assert np.sqrt(np.trace(covariance) / 3) < 0.35e-6  # 1.1 µT were walked meanwhile
         scores.append(error @ np.linalg.solve(covariance, error))
-    assert 0.38 < np.mean(scores) < 9.3  # χ² of 9 degrees of freedom over 3, at 99.8 %
+    assert 0.19 < np.mean(scores) < 11.2  # χ² of 6 degrees of freedom over 2, at 99.8 %
 
 
 def test_a_walking_bias_is_followed():
