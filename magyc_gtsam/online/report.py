@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant, with_drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
@@ -19,6 +20,7 @@ from magyc_gtsam.online.change_point import LARGE
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.online.random_walk import fit_random_walk
+from magyc_gtsam.online.recent_change import recent_change
 from magyc_gtsam.online.refit import REFIT_GROWTH, drift_of, testable
 from magyc_gtsam.online.state import SmootherState
 
@@ -56,13 +58,21 @@ def _of_samples_so_far(online: SmootherState, integrated: IntegratedWindows) -> 
         )
         fit = _refit_all(online, integrated.of(online.buffer, belief.origin)) if well_cut else None
         if fit is not None:
-            return _with_clocks(online, online.result(ending, fit), fit)
+            return _with_clocks(online, online.result(ending, fit, change=_recent_change(online, fit)), fit)
         recording = online.recording(None)
         fit, rival, _ = fit_samples(online, recording, False)
-        return _with_clocks(online, online.result(recording, fit, rival), fit)
+        change = _recent_change(online, fit)
+        return _with_clocks(online, online.result(recording, fit, rival, change=change), fit)
     stop = int(online.buffer.numbers[-1]) + 1
     fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
-    return with_drift(online.result(ending, fit, None, belief.tail, online.last), belief.drift)
+    change = _recent_change(online, fit)
+    return with_drift(online.result(ending, fit, None, belief.tail, online.last, change), belief.drift)
+
+
+def _recent_change(online: SmootherState, fit: Fit) -> Component | None:
+    """Return the error by a recent change of the iron; None if it is not looked for, or walks at random."""
+    looked_for = online.settings.detect_changes and not online.settings.walks
+    return recent_change(fit) if looked_for else None
 
 
 def _with_clocks(online: SmootherState, calibration: Calibration, fit: Fit) -> Calibration:

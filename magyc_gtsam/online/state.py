@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.model_error.model_error import ModelError
+from magyc_gtsam.estimators.model_error.component import Component
+from magyc_gtsam.estimators.model_error.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.known import known_of
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
@@ -209,6 +210,7 @@ class SmootherState:
         rival: Fit | None = None,
         first: int = 0,
         refitted: Estimate | None = None,
+        change: Component | None = None,
     ) -> Calibration:
         """Return the calibration of a fit.
 
@@ -217,6 +219,7 @@ class SmootherState:
             fit, rival: the fit and a close rival.
             first: number of its first window.
             refitted: the last refit, whose noise levels hold if the fit is that of a tail.
+            change: error by a change of the iron that the newest windows do not exclude.
         """
         colour = None if refitted is None else refitted.colour
         unexplained = None if refitted is None else self.belief.unexplained
@@ -224,6 +227,8 @@ class SmootherState:
             unexplained = ModelError(np.zeros_like(refitted.covariance))
         if refitted is not None:
             fit = replace(self.with_misalignment(fit), noise_freedom=refitted.noise_freedom)
+        if change is not None:
+            unexplained = (model_error(fit, self.buffer) if unexplained is None else unexplained).beside(change)
         result = calibration_of(
             recording, fit, rival, self.settings.options, colour, unexplained=unexplained, samples=self.buffer
         )

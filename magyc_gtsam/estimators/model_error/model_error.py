@@ -9,7 +9,7 @@ are added in proportion to their posterior probability.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,16 @@ class ModelError:
     def probable(self) -> Array:
         """(P, P) covariance without the effects that are merely possible."""
         return self.covariance - sum((c.covariance for c in self.possible), np.zeros_like(self.covariance))
+
+    def beside(self, other: Component) -> ModelError:
+        """Return the error with another component, of the same parameters or of the first of them."""
+        rows = slice(0, min(len(self.covariance), len(other.covariance)))
+        covariance = np.zeros_like(self.covariance)
+        covariance[rows, rows] = other.covariance[rows, rows]
+        more, probable = (replace(other, covariance=covariance),), other.share > _REPORTED_SHARE
+        components = (*self.components, *more) if probable else self.components
+        possible = self.possible if probable else (*self.possible, *more)
+        return ModelError(self.covariance + covariance, components, possible)
 
     @property
     def field_variation(self) -> tuple[float, float | None] | None:

@@ -38,9 +38,14 @@ def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
 
 def misfit(fit: Fit, noise: SensorNoise) -> float:
     """Return the sum of squares at `noise`, with each window and link truncated at its rejection threshold."""
-    chain = replace(fit.chain, noise=noise)
-    window, link = chain.squares(fit.residuals)
-    return float(np.minimum(window, _WINDOW_OUTLIER).sum() + np.minimum(link, _LINK_OUTLIER).sum())
+    window, link = truncated(replace(fit.chain, noise=noise), fit.residuals)
+    return float(window.sum() + link.sum())
+
+
+def truncated(chain: FieldChain, residuals: Residuals) -> tuple[Array, Array]:
+    """Return the squares of windows (n,) and links (n − 1,), each truncated at its rejection threshold."""
+    window, link = chain.squares(residuals)
+    return np.minimum(window, _WINDOW_OUTLIER), np.minimum(link, _LINK_OUTLIER)
 
 
 def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS) -> Fit:

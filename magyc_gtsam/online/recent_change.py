@@ -1,0 +1,196 @@
+"""The parameter error that a change of the iron within the newest windows may cause.
+
+A robust fit rejects the windows after a change as disturbed, and keeps the calibration from before it, as certain as it
+was, until they are many; if the change is small, it mixes both. At a reading, a change of soft and hard iron before the
+newest 2, 4, 8, … windows is therefore tested by its score, all windows since counting alike. Where one is possible,
+these windows are fitted again, given the marginal of those before them, with an iron that may have changed, and with
+another field of the place, which explains as much until the sensor turns. With p the probability that the iron changed
+rather than the place, or a disturbance came, and θ' and C' the parameters and their covariance if it did,
+
+    p (C' + d dᵀ),   d = θ' − θ,
+
+is added to the covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.model_error.component import Component
+from magyc_gtsam.estimators.model_error.components import likeliest
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.noise_levels import adapt, truncated
+from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
+from magyc_gtsam.factors.chain.chain_values import Weights
+from magyc_gtsam.factors.chain.field_chain import WITH_SKEW
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.online.marginal import ContinuedChain, Marginal
+from magyc_gtsam.online.state import continued
+
+_IRON = slice(0, 9)  # soft iron times field strength, and hard iron: T
+_FEWEST = 3  # windows before a change
+_KNOWN = 1e9  # degrees of freedom of a noise level that is known
+
+
+@dataclass(frozen=True)
+class _Belief:
+    """What is believed of a change before the newest windows are known, and when it is tested."""
+
+    windows: tuple[int, ...] = (2, 4, 8, 16, 32, 64, 128)  # since the change
+    odds: float = 0.03  # prior odds of a change at each of these, where windows do not fit, against a disturbance
+    odds_of_place: float = 1.0  # the same of another field of the place
+    # Standard deviation of an element of a change, as a share of the field strength: the least, and the largest
+    least: float = 0.02
+    most: float = 0.04  # larger steps of the hard iron are found after a few windows (`change_point`)
+    possible: float = 5.0  # gain in log-likelihood from which a change is possible
+    share: float = 0.5  # of the largest gain, from which a change at another time is considered
+
+
+_BELIEF = _Belief()
+
+
+def recent_change(fit: Fit) -> Component | None:
+    """Return the error that a recent change of the iron may cause; None if the newest windows exclude it.
+
+    Args:
+        fit: of all windows, or of the last ones given those before, at its minimum.
+    """
+    chain = continued(fit)
+    strength = float(np.cbrt(abs(np.linalg.det(unvech(fit.state.parameters[:6])))))
+    scores = _scores(fit, chain, strength)
+    least = max(_BELIEF.possible, _BELIEF.share * max((score.gain for score in scores), default=0.0))
+    changes = [
+        change
+        for score in scores
+        if score.gain >= least
+        for change in _changes(fit, chain, len(chain.windows) - score.windows, score.sigma)
+    ]
+    iron = np.array([change.of_iron for change in changes], dtype=bool)
+    if not iron.any():
+        return None
+    prior = np.log(np.where(iron, _BELIEF.odds, _BELIEF.odds_of_place))
+    nats = np.append(prior + [change.evidence for change in changes], 0.0)
+    share = np.exp(nats - nats.max())
+    share = (share / share.sum())[:-1][iron]
+    found = [change for change in changes if change.of_iron]
+    likeliest = found[int(np.argmax(share))]
+    second = np.einsum("k,kij->ij", share, [each.second for each in found])
+    size = float(np.linalg.norm(likeliest.away[_IRON]))
+    words = f"soft or hard iron may have changed in the last {likeliest.duration:.0f} s"
+    return Component("recent change", words, size, likeliest.evidence, second, share=float(share.sum()))
+
+
+class _Score(NamedTuple):
+    """The score test of a change of the iron before the newest `windows`.
+
+    Attributes:
+        gain: in log-likelihood, at the likeliest size.
+        sigma: that size, T: the standard deviation of an element of the change.
+    """
+
+    windows: int
+    gain: float
+    sigma: float
+
+
+def _scores(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Score]:
+    """Return the scores of a change before several of the newest windows, which count alike."""
+    count = len(chain.windows)
+    numbers = [k for k in _BELIEF.windows if k <= count - _FEWEST]
+    if not numbers:
+        return []
+    weights = Weights(fit.weights.window.copy(), fit.weights.link.copy())
+    weights.window[-numbers[-1] :] = weights.link[-numbers[-1] :] = 1.0
+    reduced = chain.eliminate(fit.state, weights)
+    residual = fit.residuals.window * chain.window_scale * np.sqrt(weights.window)
+    later = np.arange(count) >= count - np.array(numbers)[:, None]
+    columns = (later[:, None, None] * reduced.on_parameters[_IRON]).reshape(-1, 3, count)
+    border = np.einsum("ian,kin->kan", reduced.on_direction, columns)
+    absorbed = forward_solved(UnitFactor.of(reduced.factor), border)
+    cross = np.einsum("kin,pin->kp", columns, reduced.on_parameters) - absorbed @ reduced.half[:, :-1]
+    gradient = np.einsum("kin,in->k", columns, residual) - absorbed @ reduced.half[:, -1]
+    explained = cross @ replace(fit, reduced=reduced).covariance
+    gradient -= explained @ reduced.gradient
+    result = []
+    for i, k in enumerate(numbers):
+        own = slice(9 * i, 9 * i + 9)
+        flat = columns[own].reshape(9, -1)
+        information = flat @ flat.T - absorbed[own] @ absorbed[own].T - explained[own] @ cross[own].T
+        most = (_BELIEF.most * strength) ** 2
+        found = likeliest(information / fit.colour, gradient[own] / fit.colour, _KNOWN, _KNOWN, most)
+        result.append(_Score(k, found.gain, max(float(np.sqrt(found.variance)), _BELIEF.least * strength)))
+    return result
+
+
+class _Change(NamedTuple):
+    """A change `duration` s ago.
+
+    Attributes:
+        of_iron: whether it is one of the iron, not of the field of the place.
+        evidence: log-likelihood ratio against none.
+        away: (p,) θ with it less θ without it; second: (p, p) its second moment.
+    """
+
+    of_iron: bool
+    duration: float
+    evidence: float
+    away: Array
+    second: Array
+
+
+def _changes(fit: Fit, chain: ContinuedChain, first: int, sigma: float) -> list[_Change]:
+    """Return a change of the iron by `sigma` (T) an element before window `first`, and one of the field by as much.
+
+    Either is left out if the windows determine no fit.
+    """
+    past = chain.marginalise(fit.state, fit.weights, first - 1)
+    soft_iron = fit.state.parameters[:6]
+    strength = float(np.cbrt(abs(np.linalg.det(unvech(soft_iron)))))
+    iron, place = np.zeros((len(past.gradient), 9)), np.zeros((len(past.gradient), 3))
+    iron[_IRON] = sigma * np.eye(9)
+    place[:6, 0] = sigma / strength * soft_iron  # the strength of the field
+    place[WITH_SKEW:, 1:] = sigma / strength * np.eye(2)  # its direction
+    either = [
+        _change(fit, chain, past, first, columns, of_iron) for columns, of_iron in ((iron, True), (place, False))
+    ]
+    return [change for change in either if change is not None]
+
+
+def _change(
+    fit: Fit, chain: ContinuedChain, past: Marginal, first: int, columns: Array, of_iron: bool
+) -> _Change | None:
+    """Return the change before window `first` by `columns` (18, k) of standard deviation one each."""
+    last = first - 1
+    onto = past.information @ columns
+    inside = np.eye(columns.shape[1]) + columns.T @ onto
+    gain = np.linalg.solve(inside, onto.T).T
+    widened = past._replace(
+        information=past.information - gain @ onto.T,
+        gradient=past.gradient - gain @ (columns.T @ past.gradient),
+    )
+    windows = chain.windows.part(last, len(chain.windows))
+    newest = replace(chain, windows=windows, past=widened, facts=())
+    try:
+        changed = adapt(descend(begin(newest, fit.state.parameters, fit.free), NEAR), True, None)
+    except MagycError:  # a direction without curvature
+        return None
+    window, link = truncated(chain, fit.residuals)
+    before = float(window[first:].sum() + link[last:].sum())
+    after = sum(float(part.sum()) for part in truncated(newest, changed.residuals))
+    slope = columns.T @ past.gradient
+    by_past = 2 * newest.past_cost(changed.state) - float(slope @ np.linalg.solve(inside, slope))
+    volume = _log_volume(changed) - _log_volume(fit) - float(np.linalg.slogdet(inside)[1])
+    away = changed.state.parameters - fit.state.parameters
+    second = fit.colour * changed.covariance + np.outer(away, away)
+    evidence = 0.5 * ((before - after - by_past) / fit.colour + volume)
+    return _Change(of_iron, float(windows.time[-1] - windows.time[0]), evidence, away, second)
+
+
+def _log_volume(fit: Fit) -> float:
+    """Return the log-determinant of the covariance of the free parameters."""
+    return float(np.linalg.slogdet(fit.covariance[np.ix_(fit.free, fit.free)])[1])

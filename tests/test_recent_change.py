@@ -1,0 +1,42 @@
+"""Readings just after a change of the iron, before the change is found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam import OnlineCalibrator, simulate
+
+CHANGED = 200.0  # s
+
+
+def readings(seed):
+    """Return (time since the change, largest error of the soft iron in sigmas, whether a change is named) of each."""
+    simulation = simulate("wide", duration=220, seed=seed)
+    recording, truth = simulation.recording, simulation.truth
+    steel = np.eye(3) + np.random.default_rng(seed).normal(0, 0.03, (3, 3))
+    field, later = recording.magnetic_field.copy(), recording.time >= CHANGED
+    field[later] = (field[later] - truth.hard_iron) @ steel.T + truth.hard_iron
+    online, result = OnlineCalibrator(), []
+    for first in range(0, len(recording.time), 20):
+        rows = slice(first, first + 20)
+        online.update(recording.time[rows], field[rows], recording.angular_rate[rows])
+        now = recording.time[rows][-1] - CHANGED
+        if now < -12 or not online.converged:
+            continue
+        calibration = online.calibration
+        expected = steel @ truth.soft_iron if now > 0 else truth.soft_iron
+        squares = [each @ each.T / np.cbrt(np.linalg.det(each)) ** 2 for each in (calibration.soft_iron, expected)]
+        off = np.abs(squares[0] - squares[1]).max() / (2 * calibration.sigma["soft_iron"].max())
+        named = [each["name"] for each in calibration.diagnostics["model_error"]["components"]]
+        result.append((now, off, "recent change" in named))
+    return result
+
+
+def test_the_sigmas_cover_a_change_of_the_soft_iron_that_is_not_yet_found():
+    every = [reading for seed in (8200, 8202, 8203) for reading in readings(seed)]
+    before = [named for now, _, named in every if now < 0]
+    after = [off for now, off, _ in every if now > 5]
+    assert len(before) > 12
+    assert not any(before)
+    assert len(after) > 8
+    assert max(after) < 3  # 7 to 15 without the widening
