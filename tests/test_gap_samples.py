@@ -18,7 +18,8 @@ from magyc_gtsam.gap.model.refit import determined, refit, with_term
 from magyc_gtsam.gap.model.variants import Projector, variants
 from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, sample_hold, tone
-from magyc_gtsam.gap.search.naming import NOISE_LIMIT, Found, less, term_places
+from magyc_gtsam.gap.search.found import Found, less, term_places
+from magyc_gtsam.gap.search.naming import NOISE_LIMIT
 from magyc_gtsam.gap.search.objections import switched
 from magyc_gtsam.gap.search.search import look
 

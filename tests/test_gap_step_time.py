@@ -10,7 +10,7 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import refit, with_term
-from magyc_gtsam.gap.search.naming import Found
+from magyc_gtsam.gap.search.found import Found
 from magyc_gtsam.gap.search.one_jump import with_one_jump
 from magyc_gtsam.gap.search.search import Search, look
 

@@ -19,10 +19,11 @@ from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.outcome.outcome import gap_of
 from magyc_gtsam.gap.search.adopted import adopted
-from magyc_gtsam.gap.search.naming import Found
+from magyc_gtsam.gap.search.found import Found
 from magyc_gtsam.gap.search.search import Search, search
 from magyc_gtsam.gap.search.weighed import weighed
 from magyc_gtsam.report.gap_words import key_numbers
@@ -54,17 +55,32 @@ def test_a_name_that_is_likely_is_corrected(looked: Looked) -> None:
     assert gap.verdict == "closed"
 
 
-def test_an_improbable_name_is_not_corrected(looked: Looked) -> None:
+def test_an_improbable_name_is_not_given(looked: Looked) -> None:
+    """A name and something unknown that is nearly certain would contradict each other."""
     least = PRIOR.improbable
     gap = gap_by(looked, {((), True): 1 - 0.5 * least, (("timing",), False): 0.5 * least})
-    assert gap.names == ("timing",)
-    assert not gap.effects[0].applied
-    assert "improbable" in gap.effects[0].sentence
-    assert gap.verdict == "open"
+    assert gap.verdict == "unknown"
+    assert not gap.names
+    assert "missing" in gap.sentence
     assert gap.calibration.delay == 0
     assert not gap.calibration.trusted
-    again = gap_by(looked, {((), True): 1 - 2 * least, (("timing",), False): 2 * least})
+    again = gap_by(looked, {((), True): 1 - 2 * least, (("timing",), True): 2 * least})
+    assert again.names == ("timing",)  # whatever is unknown beside it
     assert again.effects[0].applied
+
+
+def test_what_the_field_of_the_place_explains_is_not_named(
+    looked: Looked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The variation is named by its own probability; a gap in which nothing else is left is closed."""
+    found, said, base, noise = looked
+    variation = replace(field_variation(said.tree.best.fit.twin), gain=100.0)
+    monkeypatch.setattr(said.tree, "nodes", {(): replace(said.tree.best, variation=variation)})
+    for unknown, verdict in ((0.0, "closed"), (0.2, "closed"), (0.95, "open")):
+        posterior = {((FIELD_VARIATION,), False): 1 - unknown, ((FIELD_VARIATION,), True): unknown}
+        gap = gap_by((found, said, base, noise), posterior)
+        assert gap.names == (FIELD_VARIATION,)
+        assert gap.verdict == verdict
 
 
 def test_something_unknown_that_is_sure_is_left(looked: Looked) -> None:
@@ -82,14 +98,14 @@ def test_a_name_is_as_likely_as_all_that_it_may_be(looked: Looked) -> None:
     found, said, _, noise = looked
     two = replace(found, found=tuple(replace(one, rivals=("eddy-plane",)) for one in found.found))
     (one,) = weighed(two, replace(said, posterior={(("eddy-plane",), False): 1.0}), noise).found
-    assert not one.improbable
+    assert one.name == "timing"
 
 
 @pytest.mark.parametrize("name", ["coloured-noise", "tone"])
 def test_what_is_no_noise_is_left(looked: Looked, name: str) -> None:
     found, said, _, noise = looked
     loud = replace(found, found=(*found.found, Found(name, 90.0, 20.0, 40.0)))
-    result = weighed(loud, replace(said, posterior={(("timing",), True): 1.0}), noise)
+    result = weighed(loud, replace(said, posterior={(("timing",), False): 1.0}), noise)
     assert [one.name for one in result.found] == ["timing"]
     assert result.leftover == (name,)
 

@@ -47,8 +47,8 @@ class Effect:
         applied: whether `gap.calibration` corrects the effect.
         sentence: one line for a navigator.
         probability: posterior probability that the effect is present, from the evidence of all sets of effects. It is
-            at most 0.985, because the true cause may be outside all sets. Score tests give the name; the effect is not
-            corrected if the effect and its rivals together are improbable.
+            at most 0.985, because the true cause may be outside all sets. Score tests give the name; it is not
+            given if the effect and its rivals together are improbable.
     """
 
     name: str

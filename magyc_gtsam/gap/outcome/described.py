@@ -12,7 +12,7 @@ from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.result import Effect
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.search.naming import Found, term_places
+from magyc_gtsam.gap.search.found import Found, term_places
 from magyc_gtsam.gap.search.step_time import step_time_sigma
 
 FIELD_VARIES = "field of the place that varies"
@@ -20,7 +20,6 @@ IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _OPEN = "named, not corrected: this motion does not determine all of its values"
 _UNSURE = "named, not corrected: an unrecorded channel may be the cause"
-_IMPROBABLE = "named, not corrected: it is improbable beside the other possible effects"
 _UNPAID = (
     "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )
@@ -62,7 +61,7 @@ def _noise_sentence(noise: NoiseScore) -> str:
 def describe(
     found: Sequence[Found], refitted: Refit, uncorrected: Container[int], unpaid: Container[int] = ()
 ) -> tuple[Effect, ...]:
-    """Return the effects as values.
+    """Return the effects that are not improbable as values.
 
     Args:
         found: the effects.
@@ -75,11 +74,10 @@ def describe(
     def why(place: int, one: Found) -> str:
         if place not in uncorrected:
             return ""
-        if one.improbable:
-            return _IMPROBABLE
         return _UNPAID if place in unpaid else _UNSURE if one.unsure else _OPEN
 
-    return tuple(_described(f, refitted, indices.get(i), why(i, f)) for i, f in enumerate(found))
+    named = [(place, one) for place, one in enumerate(found) if not one.improbable]
+    return tuple(_described(one, refitted, indices.get(place), why(place, one)) for place, one in named)
 
 
 def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Effect:

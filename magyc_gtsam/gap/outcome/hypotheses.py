@@ -12,7 +12,8 @@ from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.score import Score
-from magyc_gtsam.gap.search.naming import Found, Look
+from magyc_gtsam.gap.search.found import Found
+from magyc_gtsam.gap.search.naming import Look
 
 _VETOED = (
     "significant, but it does not improve the prediction of held-out data",

@@ -28,7 +28,8 @@ from magyc_gtsam.gap.result import Doubt, Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.score import DRAWS
-from magyc_gtsam.gap.search.naming import Found, Look, as_found, term_places
+from magyc_gtsam.gap.search.found import Found, as_found, term_places
+from magyc_gtsam.gap.search.naming import Look
 from magyc_gtsam.gap.search.search import Search
 
 
@@ -113,14 +114,15 @@ def gap_of(
         after = measure(corrected.twin, final, fine)
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     untested = _untested(names, base)
-    tested = hypotheses(first, names, found, word, discrete, result.leftover, result.slight)
+    told = [one for one in found if not one.improbable]
+    tested = hypotheses(first, names, told, word, discrete, result.leftover, result.slight)
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
     contradicted = () if calibration is None else against(calibration, started)
     shifted = moved(started, final) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
-    wanted = manoeuvre(first, found, word, open_places)
+    wanted = manoeuvre(first, told, word, [told.index(found[p]) for p in open_places if found[p] in told])
     given, fitted = (final, corrected) if applied else (started, base)
     used, untrusted = judged(given, fitted, result.recording, strength)
     gap = Gap(

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
 from magyc_gtsam.gap.preparation.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import label_of, product_of
-from magyc_gtsam.gap.search.naming import Found, Look
+from magyc_gtsam.gap.search.found import Found
+from magyc_gtsam.gap.search.naming import Look
 
 _SPELLED = 3  # effects that a sentence names
 
@@ -28,7 +30,7 @@ def verdict(effects: Sequence[Effect], left: Sequence[str], last: Look, catalogu
         return "none", "the model and the data agree"
     if left:
         where = _place(left, last, catalogue)
-        firm = [effect.sentence for effect in effects if effect.name in TERMS or effect.name == "axis-order"]
+        firm = [effect.sentence for effect in effects if effect.name in (*TERMS, "axis-order", FIELD_VARIATION)]
         if firm:
             return "open", f"{'; '.join(firm)}; beside that, {where}"
         return "unknown", f"{where}; nothing was changed"

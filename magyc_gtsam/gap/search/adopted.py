@@ -23,7 +23,8 @@ from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.outcome.worth import predicts
 from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT
-from magyc_gtsam.gap.search.naming import Found, any_change, as_found, untested
+from magyc_gtsam.gap.search.found import Found, as_found
+from magyc_gtsam.gap.search.naming import any_change, untested
 from magyc_gtsam.gap.search.search import Search, look
 
 

@@ -14,7 +14,8 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.refit import possible, without_term
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.score import Score
-from magyc_gtsam.gap.search.naming import Found, Look, choices, less, related, term_places
+from magyc_gtsam.gap.search.found import Found, less, term_places
+from magyc_gtsam.gap.search.naming import Look, choices, related
 from magyc_gtsam.gap.search.refined import nearer, sharpened
 from magyc_gtsam.gap.search.steps import State, terms_of, with_effect
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,6 @@ from scipy.stats import chi2
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import NAMES, TERMS
-from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.model.variants import Projector, Variant
@@ -19,66 +18,12 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations, noise_scores
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.score import Score
+from magyc_gtsam.gap.search.found import Found, term_places
 from magyc_gtsam.recording import Recording
 
 _OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # functions of time alone
 _IN_TIME = "time:sensor"  # families of any change of the hard iron with time
 NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """An effect that was added.
-
-    Two steps that are terms of one score have half its evidence each, as long as there are two.
-
-    Attributes:
-        name: of the catalogue.
-        statistic, threshold, evidence: of its test when it was added.
-        rivals: names that this motion cannot distinguish from it.
-        noise: its test, if it is an effect on the noise.
-        of: the score of which it is a term.
-        unsure: True if a missing channel may be the cause instead; to correct it could increase the heading error.
-        improbable: True if it is improbable by the posterior of all sets of effects.
-    """
-
-    name: str
-    statistic: float
-    threshold: float
-    evidence: float
-    rivals: tuple[str, ...] = ()
-    noise: NoiseScore | None = None
-    of: Score | None = None
-    unsure: bool = False
-    improbable: bool = False
-
-    def times(self, factor: float) -> Found:
-        """Return it with its evidence multiplied by a factor."""
-        numbers = {name: factor * getattr(self, name) for name in ("statistic", "threshold", "evidence")}
-        return replace(self, **numbers)
-
-
-def as_found(score: NoiseScore) -> Found:
-    """Return a noise effect as an effect that was found."""
-    return Found(score.name, score.statistic, score.threshold, score.evidence, noise=score)
-
-
-def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:
-    """Return {place in `found`: place among the model's terms}, in order; terms of a given model come before them."""
-    of_terms = [place for place, f in enumerate(found) if f.name in TERMS]
-    given = len(model.terms) - len(of_terms)
-    return {place: given + index for index, place in enumerate(of_terms)}
-
-
-def less(found: Sequence[Found], places: Container[int]) -> tuple[Found, ...]:
-    """Return the effects without those at some places; one step that remains of two gets the evidence of both."""
-    kept = [f for place, f in enumerate(found) if place not in places]
-
-    def whole(one: Found) -> Found:
-        before, now = (sum(f.of is one.of for f in every) for every in (found, kept))
-        return one if one.of is None or before == now else one.times(before / now)
-
-    return tuple(whole(f) for f in kept)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from magyc_gtsam.gap.model.refit import Refit, without_term
 from magyc_gtsam.gap.model.variants import Projector, variant
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import product_of
-from magyc_gtsam.gap.search.naming import NOISE_LIMIT, Found, Look, faint, shape_of, weights
+from magyc_gtsam.gap.search.found import Found
+from magyc_gtsam.gap.search.naming import NOISE_LIMIT, Look, faint, shape_of, weights
 
 _CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-hard-iron")
 

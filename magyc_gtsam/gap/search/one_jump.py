@@ -18,7 +18,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.refit import Refit, refit, without_term
-from magyc_gtsam.gap.search.naming import less, term_places
+from magyc_gtsam.gap.search.found import less, term_places
 from magyc_gtsam.gap.search.search import Search, look
 
 _STEP = "hard-iron-step"

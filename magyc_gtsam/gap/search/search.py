@@ -25,15 +25,8 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.own_time import in_its_own_time
 from magyc_gtsam.gap.scores.score import Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.search.alternatives import at_sharpest, rest, tried, with_exchange
-from magyc_gtsam.gap.search.naming import (
-    Found,
-    Look,
-    choices,
-    less,
-    loudest,
-    term_places,
-    with_forms,
-)
+from magyc_gtsam.gap.search.found import Found, less, term_places
+from magyc_gtsam.gap.search.naming import Look, choices, loudest, with_forms
 from magyc_gtsam.gap.search.objections import leftover, stands, switched
 from magyc_gtsam.gap.search.refined import sharpened
 from magyc_gtsam.gap.search.steps import State, with_more_modes, with_noise
@@ -53,7 +46,7 @@ class Search:
     Attributes:
         recording, problem: the data, without wrong samples and tones.
         first, last: looks at the base model and at the final one.
-        found: effects in the order in which they were added; see `naming.term_places`.
+        found: effects in the order in which they were added; see `found.term_places`.
         leftover: names that remain significant in the last look and were not added; effects that are significant
             without a possible value; colour that may be part of a misfit; and drifting clocks.
         slight: names of effects that would explain the data, but are too small and too weak to be named.

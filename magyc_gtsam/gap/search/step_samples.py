@@ -14,7 +14,7 @@ from magyc_gtsam.gap.evidence.answer import Answer
 from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.samples.fine import fine_innovations
 from magyc_gtsam.gap.samples.wrong_samples import spikes
-from magyc_gtsam.gap.search.naming import less
+from magyc_gtsam.gap.search.found import less
 from magyc_gtsam.gap.search.search import Search
 from magyc_gtsam.recording import Recording
 

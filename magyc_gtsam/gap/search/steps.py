@@ -20,7 +20,8 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.coarse import unrounded
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.score import Score
-from magyc_gtsam.gap.search.naming import Found, Look, any_change, as_found, less, related, rivals_of, term_places
+from magyc_gtsam.gap.search.found import Found, as_found, less, term_places
+from magyc_gtsam.gap.search.naming import Look, any_change, related, rivals_of
 from magyc_gtsam.recording import Recording
 
 _PASSES = 2  # estimates of the model, the first from readings with steps
@@ -33,7 +34,7 @@ class State:
     Attributes:
         recording, problem: the data, without wrong samples and tones.
         current: the model at its minimum.
-        found: the effects, in the order in which they were added; see `naming.term_places`.
+        found: the effects, in the order in which they were added; see `found.term_places`.
         short_term: noise of the sensors between neighbouring samples.
     """
 

@@ -2,14 +2,14 @@
 
 Score tests compare an effect with noise. In a room the field varies, and any smooth function explains much of it. The
 posterior includes the field variation of the place in every set, and gives the probability of each effect beside it.
-An improbable effect is not corrected. If the posterior is sure of the field's variation, contains all probable effects
-and no unknown one, the remaining misfit of the score tests is this variation. If it is sure of an unknown effect, that
-remains.
+An improbable effect is not named; it is a part of the field's variation where that is nearly certain, and a misfit
+without a name elsewhere. If in addition all probable effects are named and an unknown one is improbable, all remaining
+misfit is this variation. If an unknown effect is nearly certain, that remains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,14 +26,14 @@ from magyc_gtsam.gap.model.refit import refit, without_term
 from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.neighbours import product_of
-from magyc_gtsam.gap.search.naming import Found, less, term_places
+from magyc_gtsam.gap.search.found import Found, less, term_places
 from magyc_gtsam.gap.search.search import Search
 
 _OF_NOISE = (COLOUR, "tone")  # effects that a varying field may resemble
 
 
 def weighed(result: Search, said: Answer, short_term: SensorNoise) -> Search:
-    """Remove or mark the improbable effects of a search.
+    """Remove the improbable effects of a search, and name the field's variation where it is nearly certain.
 
     Args:
         result: of the search.
@@ -41,49 +41,50 @@ def weighed(result: Search, said: Answer, short_term: SensorNoise) -> Search:
         short_term: noise of the sensors between neighbouring samples.
     """
     stated = marginals(said.posterior)
-    doubtful = {place for place, one in enumerate(result.found) if _improbable(one, said.posterior)}
+    against = {place for place, one in enumerate(result.found) if _improbable(one, said.posterior)}
+    left = result.leftover
     variation = said.tree.best.variation
-    if variation is None or not variation.evident or not _of_the_place(result, stated, doubtful):
-        return _with_unknown(_marked(result, doubtful), said, stated[UNKNOWN])
-    kept = _without(result, doubtful, short_term)
-    score = _score(variation)
-    found = Found(FIELD_VARIATION, score.statistic, 0.0, score.evidence, noise=score)
-    left = tuple(name for name in result.leftover if name == CLOCK_DRIFT)
-    return replace(kept, found=(*kept.found, found), leftover=left)
+    if variation is not None and variation.evident and stated.get(FIELD_VARIATION, 0.0) > PRIOR.sure:
+        kept = _without(result, against, short_term)
+        if stated[UNKNOWN] < 1 - PRIOR.sure and not _missing(kept.found, stated):
+            left = tuple(name for name in left if name == CLOCK_DRIFT)
+        score = _score(variation)
+        field = Found(FIELD_VARIATION, score.statistic, 0.0, score.evidence, noise=score)
+        kept = replace(kept, found=(*kept.found, field))
+    else:
+        left = (*left, *(result.found[place].name for place in sorted(against)))
+        kept = _marked(result, against)
+    if stated[UNKNOWN] > PRIOR.sure and not result.leftover:
+        left = (*_likeliest_family(said), *left)
+    return replace(kept, leftover=tuple(dict.fromkeys(left)))
 
 
-def _marked(result: Search, doubtful: Container[int]) -> Search:
-    """Mark improbable effects; improbable effects on the noise become part of the remaining misfit."""
-    found = tuple(replace(one, improbable=place in doubtful) for place, one in enumerate(result.found))
-    other = {place: one.name for place, one in enumerate(found) if one.improbable and one.name in _OF_NOISE}
-    left = dict.fromkeys((*result.leftover, *other.values()))
-    return replace(result, found=less(found, other), leftover=tuple(left))
-
-
-def _with_unknown(result: Search, said: Answer, probability: float) -> Search:
-    """Add the most probable generic family to the remaining misfit, if an unknown effect is nearly certain."""
-    if result.leftover or probability < PRIOR.sure:
-        return result
-    best = said.tree.best
-    families = [each for each in best.found.values() if each.name not in TERMS and product_of(each.name) is None]
-    likeliest = max(families, key=lambda each: each.log, default=None)
-    return result if likeliest is None else replace(result, leftover=(likeliest.name,))
+def _marked(result: Search, against: Container[int]) -> Search:
+    """Mark improbable effects, which stay in the model as a description of the remaining misfit."""
+    found = tuple(replace(one, improbable=place in against) for place, one in enumerate(result.found))
+    return replace(
+        result, found=less(found, {p for p, one in enumerate(found) if one.improbable and one.name in _OF_NOISE})
+    )
 
 
 def _improbable(one: Found, posterior: Mapping[Set, float]) -> bool:
-    """Return whether an effect and its rivals together are improbable."""
+    """Return whether an effect and its rivals together are improbable, whatever else is present."""
     if one.name not in TERMS and one.name not in _OF_NOISE:
         return False
     names = {one.name, *one.rivals}
     return sum(p for (there, _), p in posterior.items() if not names.isdisjoint(there)) < PRIOR.improbable
 
 
-def _of_the_place(result: Search, stated: Mapping[str, float], doubtful: Container[int]) -> bool:
-    """Return whether the field's variation is nearly certain, and no other effect is missing."""
-    named = {name for i, one in enumerate(result.found) if i not in doubtful for name in (one.name, *one.rivals)}
-    missing = [name for name in TERMS if stated.get(name, 0.0) > PRIOR.likely and name not in named]
-    sure = stated.get(FIELD_VARIATION, 0.0) > PRIOR.sure and stated[UNKNOWN] < 1 - PRIOR.sure
-    return sure and not missing
+def _missing(found: Sequence[Found], stated: Mapping[str, float]) -> bool:
+    """Return whether a probable effect was not found."""
+    named = {name for one in found for name in (one.name, *one.rivals)}
+    return any(stated.get(name, 0.0) > PRIOR.likely and name not in named for name in TERMS)
+
+
+def _likeliest_family(said: Answer) -> tuple[str, ...]:
+    """Return the most probable generic family, by which an unknown effect is described."""
+    families = [e for e in said.tree.best.found.values() if e.name not in TERMS and product_of(e.name) is None]
+    return tuple(each.name for each in sorted(families, key=lambda each: -each.log)[:1])
 
 
 def _without(result: Search, places: Container[int], short_term: SensorNoise) -> Search:
