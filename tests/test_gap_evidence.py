@@ -17,12 +17,12 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
-from magyc_gtsam.gap.evidence.posterior import kept, normalised
+from magyc_gtsam.gap.evidence.posterior import kept, normalised, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
-from magyc_gtsam.gap.scores.neighbours import neighbours
+from magyc_gtsam.gap.scores.neighbours import neighbours, product_of
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60
@@ -83,7 +83,7 @@ def test_a_share_is_kept_for_what_no_set_holds() -> None:
 @pytest.mark.parametrize("unknown", [False, True])
 def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
     """Any of them together, at odds that grow with their number; effects on single samples are not among them."""
-    odds = PRIOR.imitated + (0.0 if unknown else PRIOR.all_named)
+    odds = PRIOR.resembled + (0.0 if unknown else PRIOR.all_named)
     ratio = {count: float(np.exp(odds + (count - 1) * PRIOR.each_more)) for count in (1, 2, 3)}
     names = (FIELD_VARIATION, "cubic", "timing", "tone")
     stated = marginals(normalised({(names, unknown): 0.0}))
@@ -134,6 +134,24 @@ def test_what_is_weak_may_be_a_part_of_something_unknown() -> None:
     assert late[UNKNOWN] < 0.05
     assert odd[UNKNOWN] > 0.9
     assert odd.get("timing", 0.0) < 0.5
+
+
+def test_an_effect_with_a_large_product_is_another_effect() -> None:
+    """A lag that grows with the speed of turn is described by a delay and the delay's product with the speed."""
+    recording = mg.simulate("multi", 120, seed=4).recording
+    field, turn = recording.magnetic_field, recording.angular_rate
+    assert turn is not None
+    speed = np.linalg.norm(turn, axis=1, keepdims=True)
+    growing = 0.15 * np.cross(field - field.mean(axis=0), turn) * (0.5 + speed / np.sqrt((speed**2).mean()))
+    late = mg.Recording(recording.time, field - growing, turn)
+    tree = Tree(base_model(late, None, short_term_noise(late)), ("timing",))
+    assert ("timing",) in tree.nodes
+    for node in tree.nodes.values():  # nothing else that is unknown explains it
+        for name in [name for name in node.found if name != "timing" and product_of(name) is None]:
+            del node.found[name]
+    stated = marginals(normalised(weights(tree)))
+    assert stated[UNKNOWN] > 0.9
+    assert stated["timing"] < 0.1
 
 
 def test_colour_beside_white_noise_is_weighed_as_its_density() -> None:

@@ -125,7 +125,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
         if name in ("spikes", "tone") and odds > 0:  # or a part of the unknown effect
             for (key, unknown), log in models.items():
                 if unknown:
-                    models[key, unknown] = float(np.logaddexp(log, log + odds + PRIOR.imitated - PRIOR.unknown))
+                    models[key, unknown] = float(np.logaddexp(log, log + odds + PRIOR.resembled))
         models |= there
     models[(), False] += PRIOR.nothing
     return normalised(models)

@@ -62,7 +62,7 @@ def _families(tree: Tree, node: Node) -> tuple[float, float]:
         small = each.power < PRIOR.form * node.explained
         if small.any():
             form.append(logsumexp(each.by_scale[small]))
-        if (~small).any():
+        if (~small).any() and product_of(each.name) is None:
             foreign.append(logsumexp(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
     share = np.log(max(len(families), 1))
     return (
@@ -88,8 +88,9 @@ def _generic(node: Node) -> list[Weighed]:
 def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
     """Yield (the other effects, nats) for each effect of a set being a part of an effect outside the catalogue.
 
-    The rest of that effect is a family: either large enough to be detected beyond the deviation of the effect and of
-    the field from their forms; or of a power tied to that of the effect, and too small to be detected beside it.
+    The rest of that effect is a family of a power tied to that of the effect, and too small to be detected beside it
+    (a larger one: `_with_one_cause`); or a product of the effect with another signal, larger than its deviation from
+    its form: then the effect does not have the form of the catalogue.
     """
     families = _generic(node)
     if not families or not key:
@@ -101,12 +102,15 @@ def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tu
         powers[node.fit.model.terms[index].name] += float(node.powers[index, index])
     if node.variation is not None:
         powers[FIELD_VARIATION] = node.of_field
-    parts = [(set(key) - {name}, power, name != FIELD_VARIATION) for name, power in powers.items()]
-    for less, power, small in parts:
+    for name, power in powers.items():
+        of_field = name == FIELD_VARIATION
+        rest = [each for each in families if of_field or product_of(each.name) == name]
         least = PRIOR.form * max(power, node.of_field)
-        large = np.concatenate([*(each.by_scale[each.power > least] for each in families), [-np.inf]])
-        log = np.logaddexp(float(logsumexp(large)) - share, hidden if small else -np.inf)
-        yield tuple(sorted(less)), PRIOR.imitated - float(np.log(len(parts))) + float(log)
+        large = np.concatenate([*(each.by_scale[each.power > least] for each in rest), [-np.inf]])
+        imitated = PRIOR.imitated - float(np.log(len(powers)))
+        seen = float(logsumexp(large)) - share + (imitated if of_field else PRIOR.unknown)
+        unseen = -np.inf if of_field else hidden + imitated
+        yield tuple(sorted(set(key) - {name})), float(np.logaddexp(seen, unseen))
 
 
 def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
@@ -216,7 +220,7 @@ def _with_one_cause(logs: Mapping[Set, float]) -> dict[Set, float]:
     for (names, unknown), log in logs.items():
         of_catalogue = [name for name in names if name in TERMS]
         for count in range(1, len(of_catalogue) + 1):
-            odds = PRIOR.imitated + (count - 1) * PRIOR.each_more + (0.0 if unknown else PRIOR.all_named)
+            odds = PRIOR.resembled + (count - 1) * PRIOR.each_more + (0.0 if unknown else PRIOR.all_named)
             for alike in combinations(of_catalogue, count):
                 others = tuple(name for name in names if name not in alike)
                 more.setdefault((others, True), []).append(log + odds)

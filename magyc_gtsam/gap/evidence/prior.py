@@ -35,16 +35,16 @@ class Prior:
             hypotheses does not include the case that all of them are wrong. Of 52 statements above 0.99 without it
             (editions 53 and 54, 0.999 on average) 2 are false, of 78 from 0.95 before none: 2 of 130 (95 %: 0.002 to
             0.055; by Laplace's rule 0.023).
-        imitated: odds that an apparent effect of the catalogue is a part of an effect outside it (log score on edition
-            41: 0.926, 0.927 at 0.15 and 0.929 at 0.2).
+        imitated: odds that an apparent effect of the catalogue is a part of an effect outside it of which nothing else
+            is seen (log score on edition 41: 0.926, 0.927 at 0.15 and 0.929 at 0.2).
+        resembled: log odds that an apparent effect is a part of an effect outside the catalogue that is seen beside it.
+            In 6 of 14 foreign recordings of edition 207 with a certain unknown effect one effect of the catalogue is
+            significant beside it; of independent causes each of the 22 would be there with odds of 0.034.
         each_more: log odds that each further effect adds to that, for all of them having one cause outside the
             catalogue.
         all_named: log odds that nothing of such a cause is detected as unknown beside the effects that it resembles. A
-            magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. With both, the
-            truth of statements from 0.8 to 0.95 (0.90) is 0.83 instead of 0.70 on 122 recordings of edition 64, and
-            falls from 0.84 to 0.82 on 134 of edition 63 (each kind of recording weighted as in an edition), on which
-            they were chosen, and 0.92 on 103 unseen ones of edition 66. Ten times for each effect is as true there, but
-            reduces the probability of known effects to 0.1 in real logs with four or five effects.
+            magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. It was chosen
+            on editions 63 and 64, with `resembled` and `each_more` of 0.1 and 5 (0.5 and 3 now).
         shares: power of the rest of such a cause relative to the imitated effect, all equally probable.
         form: share of the power of an effect by which it may deviate from its form. No real effect has its catalogue
             form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
@@ -56,7 +56,7 @@ class Prior:
         close: nats below the best set beyond which a set is not extended.
         sure: probability above which a statement is taken as certain.
         likely: probability above which an effect that was not found contradicts the result.
-        improbable: probability below which an effect is not corrected; of 77 right names in 176 recordings none was
+        improbable: probability below which an effect is not named; of 77 right names in 176 recordings none was
             below.
         certain: nats for effects that are detected with certainty or not at all.
         whole: probability that a family is present as a whole, not in one of its parts.
@@ -75,7 +75,8 @@ class Prior:
     unknown: float = float(np.log(0.5))
     unforeseen: float = 0.015
     imitated: float = float(np.log(0.1))
-    each_more: float = float(np.log(5))
+    resembled: float = float(np.log(0.5))
+    each_more: float = float(np.log(3))
     all_named: float = float(np.log(0.005))
     shares: Array = field(default_factory=_shares)
     form: float = 0.04
