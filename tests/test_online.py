@@ -296,7 +296,9 @@ def test_files_that_hold_no_state(tmp_path):
     with pytest.raises(MagycError, match="format 'magyc-gtsam online state 0'"):
         OnlineCalibrator.load(other)
     with pytest.raises(MagycError, match="cannot be written"):
-        OnlineCalibrator().save(tmp_path / "missing" / "online.npz")
+        OnlineCalibrator().save(other / "online.npz")  # a file where a folder is expected
+    OnlineCalibrator().save(tmp_path / "created" / "online.npz")
+    assert not OnlineCalibrator.load(tmp_path / "created" / "online.npz").converged
     OnlineCalibrator().save(other)
     with np.load(other) as file:
         arrays = {name: file[name] for name in file.files if name != "engine/belief/counts"}

@@ -12,8 +12,8 @@ from pathlib import Path
 def whole_file(file: Path) -> Iterator[Path]:
     """Yield a temporary file that replaces `file` when the block ends, and is removed if the block raises.
 
-    The folder is created if needed.
-    The temporary file that a killed process leaves behind is overwritten by the next run.
+    The folder is created if it does not exist. The temporary file that a killed process leaves behind is overwritten by
+    the next run.
     """
     part = file.with_name(file.name + ".part")
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -178,9 +178,12 @@ def to_calibration(
         reason = "the ellipsoid is flat or infinite" + ("" if ellipsoid.converged else f", {ellipsoid.message}")
         raise MagycError(f"method {method!r} failed: {reason}; {REMEDY}")
     root = symmetric_root(matrix)
-    sigma, covariance, off = _assessed(samples.value, root, offset, ellipsoid)
+    sigma, covariance, bias = _assessed(samples.value, root, offset, ellipsoid)
+    off = float(np.linalg.norm(bias[6:]))
     if ellipsoid.covariance is not None:
         covariance = ellipsoid.covariance
+    if covariance is not None and ellipsoid.weights is None:
+        covariance = covariance + np.outer(bias, bias)
     known = np.zeros((UNKNOWNS, UNKNOWNS)) if covariance is None else covariance
     soft_iron, strength, reported = fix_scale(root * samples.unit, known * samples.unit**2, field_strength)
     hard_iron = samples.centre + samples.unit * offset
@@ -254,13 +257,14 @@ def _flat(matrix: Array) -> bool:
 
 def _assessed(
     samples: Array, root: Array, offset: Array, ellipsoid: Ellipsoid
-) -> tuple[float, Array | None, float]:
-    """Return the noise of a sample, the covariance (9, 9) of vech(A) and h, and the bias of h.
+) -> tuple[float, Array | None, Array]:
+    """Return the noise of a sample, and the covariance (9, 9) and the bias (9,) of vech(A) and h.
 
     An estimate that solves Σ w r dr = 0 has the covariance H⁻¹ (Σ w² r² dr drᵀ) H⁻¹ with H = Σ w dr drᵀ (White
     1980), for any distribution of the residuals; r is ‖A⁻¹(y − h)‖ − 1 or the distance from the ellipsoid. The
     covariance is None if H is singular. Least squares of the distances is the maximum likelihood for equal noise on all
-    axes, so one Gauss–Newton step on them measures the bias of a method that minimises another criterion.
+    axes, so one Gauss–Newton step on them measures the bias of a method that minimises another criterion. Of a robust
+    method, which gives weights, the step is within the scatter that its own covariance holds.
     """
     points = closest_points(root, offset, samples.T)
     foot, normal, distance = points.direction.T, points.normal.T, points.distance
@@ -270,7 +274,7 @@ def _assessed(
     sigma = float(np.sqrt(np.sum(trust * distance**2) / freedom))
     likeliest = _information(distance_slope, trust)
     if likeliest is None:
-        return sigma, None, 0.0
+        return sigma, None, np.zeros(UNKNOWNS)
     step = -np.linalg.solve(likeliest, distance_slope.T @ (trust * distance))
 
     residual, slope = distance, distance_slope
@@ -282,11 +286,11 @@ def _assessed(
         residual, slope = norm - 1, -np.hstack([by_shape, gradient])
     information = _information(slope, trust)
     if information is None:
-        return sigma, None, 0.0
+        return sigma, None, np.zeros(UNKNOWNS)
     inverse = np.linalg.inv(information)
     score = slope * (trust * residual)[:, None]
     covariance = inverse @ (score.T @ score) @ inverse * len(samples) / freedom
-    return sigma, covariance, float(np.linalg.norm(step[6:]))
+    return sigma, covariance, -step
 
 
 def _information(slope: Array, weight: Array) -> Array | None:
