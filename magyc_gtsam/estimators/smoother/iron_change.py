@@ -31,7 +31,7 @@ from magyc_gtsam.sensor_faults.cut_off import inside
 class _Limits:
     """Thresholds, set on vehicles of five kinds with a jump of 3 µT per axis, and on real logs without a jump."""
 
-    shortest: float = 15.0  # s of a stretch, and of a break between two; shorter ones seldom turn enough
+    shortest: float = 15.0  # s measured in a stretch, and of a break between two; shorter ones seldom turn enough
     disturbed: float = 0.5  # weight of a window below which it counts as disturbed
     smoothed: float = 5.0  # s, length of the median filter of the weights
     explained: float = 0.8  # least mean weight of the windows of a stretch that another hard iron explains
@@ -75,7 +75,7 @@ def hard_iron_change(
         fit, calibration: of the whole recording.
         options: of that fit.
     """
-    stretches = _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window)
+    stretches = _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window, options.window)
     if not len(stretches) or not fit.converged or calibration.covariance is None:
         return None
     try:
@@ -130,13 +130,15 @@ def _refit(recording: Recording, fit: Fit, options: SmootherOptions) -> tuple[Fi
         parameters[:6] *= 1 + share
 
 
-def _disturbed(time: Array, weight: Array) -> Array:
-    """Return the stretches (k, 2) s with a low running median of the weights, merged across short breaks."""
+def _disturbed(time: Array, weight: Array, window: float) -> Array:
+    """Return the stretches (k, 2) s with a low running median of the weights, merged across short breaks; `window`, in
+    s, is the length of the longest window.
+    """
     size = round(_LIMITS.smoothed / max(median(np.diff(time)), 1e-9)) | 1
     low = np.flatnonzero(median_filter(weight, size, mode="nearest") < _LIMITS.disturbed)
     if not len(low):
         return np.empty((0, 2))
     breaks = np.flatnonzero(np.diff(time[low]) >= _LIMITS.shortest)
     first, last = low[np.append(0, breaks + 1)], low[np.append(breaks, len(low) - 1)]
-    stretches = np.column_stack([time[first], time[last]])
-    return stretches[stretches[:, 1] - stretches[:, 0] >= _LIMITS.shortest]
+    measured = np.cumsum(np.minimum(np.diff(time, prepend=time[0]), window))  # without gaps of the log
+    return np.column_stack([time[first], time[last]])[measured[last] - measured[first] >= _LIMITS.shortest]
