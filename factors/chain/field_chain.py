@@ -31,13 +31,7 @@ from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residual
 from magyc_gtsam.factors.chain.directions import QuadraticPrior, Sight, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
-from magyc_gtsam.factors.chain.rotations import (
-    Array,
-    cross,
-    exponential_matrices,
-    right_jacobian,
-    skew,
-)
+from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices, right_jacobian, skew
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 

@@ -179,7 +179,6 @@ def to_calibration(
         raise MagycError(f"method {method!r} failed: {reason}; {REMEDY}")
     root = symmetric_root(matrix)
     sigma, covariance, bias = _assessed(samples.value, root, offset, ellipsoid)
-    off = float(np.linalg.norm(bias[6:]))
     if ellipsoid.covariance is not None:
         covariance = ellipsoid.covariance
     if covariance is not None and ellipsoid.weights is None:
@@ -197,7 +196,7 @@ def to_calibration(
         )
     elif not observability.observable:
         reasons.append(f"not observable: {observability.weak[0].sentence}")
-    reasons += _misfits(recording, samples.unit, root, sigma, off)
+    reasons += _misfits(recording, samples.unit, root, sigma, float(np.linalg.norm(bias[6:])))
     return Calibration(
         soft_iron=soft_iron,
         hard_iron=hard_iron,
