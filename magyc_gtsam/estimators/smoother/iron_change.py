@@ -37,6 +37,7 @@ class _Limits:
     explained: float = 0.8  # least mean weight of the windows of a stretch that another hard iron explains
     strength: float = 0.02  # largest relative difference of the field strength
     settled: float = 1e-3  # relative step of the field strength below which it has converged
+    rounds: int = 10  # most such steps; one to three were observed
     noise: float = 1.5  # largest noise in the stretch, as a multiple of that in the rest
     sigmas: float = 6.0  # least Mahalanobis distance of the change
     smallest: float = 0.02  # least change, as a share of the field strength; one degree of heading
@@ -111,7 +112,7 @@ def _refit(recording: Recording, fit: Fit, options: SmootherOptions) -> tuple[Fi
     free[6:12] = True
     with_strength, stronger = np.zeros((len(free), 7)), 1.0
     with_strength[6:12, 1:] = np.eye(6)
-    while True:
+    for _ in range(_LIMITS.rounds):
         windows = samples.integrate(parameters[9:12], float(parameters[DELAY]))
         begun = begin(FieldChain(windows, noise), parameters, free, BRIEF)
         other = refit_field_chain(samples, begun, options.reject, short_term)
@@ -128,6 +129,7 @@ def _refit(recording: Recording, fit: Fit, options: SmootherOptions) -> tuple[Fi
             return other, covariance[1:4, 1:4]
         stronger *= 1 + share
         parameters[:6] *= 1 + share
+    return None
 
 
 def _disturbed(time: Array, weight: Array, window: float) -> Array:
