@@ -33,17 +33,32 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
     raise AssertionError("no port is free")
 
 
+def _waiting(port: int) -> list[int] | None:
+    """Return the bytes that wait at each UDP socket on the port; None where the system does not list its sockets."""
+    sockets = Path("/proc/net/udp")
+    if not sockets.exists():
+        return None
+    lines = (line.split() for line in sockets.read_text().splitlines()[1:])
+    return [int(line[4].split(":")[1], 16) for line in lines if line[1].endswith(f":{port:04X}")]
+
+
+def _taken(port: int) -> bool:
+    waiting = _waiting(port)
+    if waiting is not None:
+        return bool(waiting)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # it has the port for a moment
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return True
+    return False
+
+
 def listened_to(port: int, by: bool = True) -> None:
     """Wait until somebody has the port; or, where `by` is False, until nobody has."""
     until = time.monotonic() + 60
     while time.monotonic() < until:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("127.0.0.1", port))
-                taken = False
-            except OSError:
-                taken = True
-        if taken == by:
+        if _taken(port) == by:
             return
         time.sleep(0.02)
     raise AssertionError(f"port {port} is {'free' if by else 'taken'} still")
@@ -51,14 +66,13 @@ def listened_to(port: int, by: bool = True) -> None:
 
 def taken_in(port: int) -> None:
     """Wait until the system keeps little that the port's owner has not read: loopback, too, drops what is too much."""
-    sockets = Path("/proc/net/udp")
     until = time.monotonic() + 60
     while time.monotonic() < until:
-        if not sockets.exists():
+        waiting = _waiting(port)
+        if waiting is None:
             time.sleep(0.05)
             return
-        lines = [line.split() for line in sockets.read_text().splitlines()[1:]]
-        if all(int(line[4].split(":")[1], 16) < 50_000 for line in lines if line[1].endswith(f":{port:04X}")):
+        if all(count < 50_000 for count in waiting):
             return
         time.sleep(0.01)
 
