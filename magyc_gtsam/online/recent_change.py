@@ -78,11 +78,11 @@ def recent_change(fit: Fit) -> Component | None:
     share = np.exp(nats - nats.max())
     share = (share / share.sum())[:-1][iron]
     found = [change for change in changes if change.of_iron]
-    likeliest = found[int(np.argmax(share))]
+    best = found[int(np.argmax(share))]
     second = np.einsum("k,kij->ij", share, [each.second for each in found])
-    size = float(np.linalg.norm(likeliest.away[_IRON]))
-    words = f"soft or hard iron may have changed in the last {likeliest.duration:.0f} s"
-    return Component("recent change", words, size, likeliest.evidence, second, share=float(share.sum()))
+    size = float(np.linalg.norm(best.away[_IRON]))
+    words = f"soft or hard iron may have changed in the last {best.duration:.0f} s"
+    return Component("recent change", words, size, best.evidence, second, share=float(share.sum()))
 
 
 class _Score(NamedTuple):

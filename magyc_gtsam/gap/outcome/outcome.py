@@ -114,7 +114,8 @@ def gap_of(
         after = measure(corrected.twin, final, fine)
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     untested = _untested(names, base)
-    told = [one for one in found if not one.improbable]
+    named = [place for place, one in enumerate(found) if not one.improbable]
+    told, uncorrected = [found[p] for p in named], [named.index(p) for p in open_places if p in named]
     tested = hypotheses(first, names, told, word, discrete, result.leftover, result.slight)
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
@@ -122,7 +123,7 @@ def gap_of(
     shifted = moved(started, final) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
-    wanted = manoeuvre(first, told, word, [told.index(found[p]) for p in open_places if found[p] in told])
+    wanted = manoeuvre(first, told, word, uncorrected)
     given, fitted = (final, corrected) if applied else (started, base)
     used, untrusted = judged(given, fitted, result.recording, strength)
     gap = Gap(
@@ -150,7 +151,7 @@ def gap_of(
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
     missing = place_of(result.leftover, last) if result.leftover else ""
-    return with_doubt(gap, left_open(effects, open_places, missing, wanted))
+    return with_doubt(gap, left_open(effects, uncorrected, missing, wanted))
 
 
 def _not_worthwhile(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
