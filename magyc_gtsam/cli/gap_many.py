@@ -99,8 +99,9 @@ def effect_rows(gap: GapOfMany) -> list[list[str]]:
 
 
 def value_of(effect: SharedEffect, value: np.ndarray, sigma: np.ndarray) -> str:
-    """Return values with standard deviations and unit."""
-    return ", ".join(f"{v:.3g} ± {s:.2g}" for v, s in zip(value, sigma, strict=True)) + f" {effect.unit}"
+    """Return values with unit, and with standard deviations where they are known."""
+    shown = (f"{v:.3g}" + (f" ± {s:.2g}" if np.isfinite(s) else "") for v, s in zip(value, sigma, strict=True))
+    return f"{', '.join(shown)} {effect.unit}".rstrip()
 
 
 def weight_rows(gap: GapOfMany, count: int) -> list[list[str]]:

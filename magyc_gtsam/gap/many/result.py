@@ -20,7 +20,7 @@ class InLog:
     Attributes:
         log: its name.
         present: probability that the log has the effect; 1 for an effect of the instrument.
-        value, sigma: (k,) from this log alone, in the effect's unit.
+        value, sigma: (k,) from this log alone, in the effect's unit; sigma is NaN for an effect on the noise.
         setting: of the grid search in this log.
     """
 
