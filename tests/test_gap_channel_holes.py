@@ -18,8 +18,8 @@ from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.environment import CHANNELS
 
 
-def _driven(seed: int) -> mg.Recording:
-    return mg.simulate("wide", 300, seed=seed, effects=[("motor-current", 1.5)], channels=CHANNELS).recording
+def _driven(seed: int, seconds: float = 200.0) -> mg.Recording:
+    return mg.simulate("wide", seconds, seed=seed, effects=[("motor-current", 1.5)], channels=CHANNELS).recording
 
 
 def _current(recording: mg.Recording) -> str:
@@ -87,7 +87,7 @@ def _information(recording: mg.Recording, calibration: mg.Calibration, term: Ter
 
 
 def test_a_channel_that_is_hardly_there_is_not_tested() -> None:
-    recording = _driven(45)
+    recording = _driven(45, 300.0)
     gap = mg.find_gap(_logged(recording, recording.time < 100), candidates=["motor-current", "hard-iron-step"])
     assert [each.name for each in gap.untested] == ["motor-current"]
     assert "was logged in 33% of the rows only" in gap.diagnostics["left_out"][0]
@@ -96,7 +96,7 @@ def test_a_channel_that_is_hardly_there_is_not_tested() -> None:
 
 def test_each_circuit_is_spoken_of_by_its_name() -> None:
     """The second motor's field, beside a first that does nothing."""
-    recording = _driven(46)
+    recording = _driven(46, 300.0)
     name = _current(recording)
     other = np.random.default_rng(46).normal(size=len(recording.time)).cumsum()
     channels = {key: value for key, value in recording.channels.items() if key != name}

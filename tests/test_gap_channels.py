@@ -30,7 +30,7 @@ def _wandering(seed: int, count: int) -> Array:
 
 def _in_a_room(seed: int, depth: Array | None = None) -> mg.Recording:
     """A room whose field grows by 2 % along a way that a wandering vehicle takes; `depth` may be another way."""
-    simulation = mg.simulate("wide", 300, seed=seed)
+    simulation = mg.simulate("wide", 200, seed=seed)
     recording, iron = simulation.recording, simulation.truth.hard_iron
     way = _wandering(100 + seed, len(recording.time))
     field = iron + (recording.magnetic_field - iron) * (1 + 0.02 * way[:, None])
@@ -75,7 +75,7 @@ def test_something_that_was_passed_is_named_without_depth_or_temperature() -> No
 def test_a_channel_that_agrees_by_chance_is_no_name() -> None:
     """Of ways that have nothing to do with the field some explain much of it: they are vetoed, or it is the room's."""
     assert _standing(_in_a_room(1)) == "named"
-    others = [_standing(_in_a_room(1, _wandering(200 + k, 3000))) for k in range(2)]
+    others = [_standing(_in_a_room(1, _wandering(200 + k, 2000))) for k in range(2)]
     assert others.count("vetoed") >= 1
     assert not {"named", "ambiguous"}.intersection(others)
 
@@ -128,7 +128,7 @@ def test_the_unit_of_a_channel_is_of_no_matter(name: str, scale: float, offset: 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
 def test_no_current_effect_is_rejected_in_any_unit(scale: float) -> None:
-    recording = _with_unit(mg.simulate("wide", 300, seed=3, channels=["current"]).recording, scale, 0.0)
+    recording = _with_unit(mg.simulate("wide", 200, seed=3, channels=["current"]).recording, scale, 0.0)
     gap = mg.find_gap(recording, candidates=["motor-current"])
     assert gap.verdict == "none"
     assert next(h.status for h in gap.hypotheses if h.name == "motor-current") == "rejected"
@@ -140,7 +140,7 @@ def test_no_current_effect_is_rejected_in_any_unit(scale: float) -> None:
 @pytest.mark.parametrize(("stand_in", "direct"), [(-99999.0, False), (1e30, True)])
 def test_what_stands_for_no_value_hides_no_effect(stand_in: float, direct: bool) -> None:
     """Nor is it applied; the note says where it is. Direct, or in a stream that is interpolated."""
-    recording = mg.simulate("wide", 300, seed=3, effects=["temperature-hard-iron"]).recording
+    recording = mg.simulate("wide", 200, seed=3, effects=["temperature-hard-iron"]).recording
     temperature = recording.channels["temperature"].copy()
     temperature[[700, 1200]] = stand_in
     if direct:

@@ -128,8 +128,12 @@ def test_what_is_weak_may_be_a_part_of_something_unknown() -> None:
     speed = np.linalg.norm(turn, axis=1, keepdims=True)
     slope = np.cross(field - field.mean(axis=0), turn)
     fast = 0.09 * slope * (speed / np.sqrt((speed**2).mean())) ** 2
-    late = mg.find_gap(mg.simulate("multi", 120, seed=3, effects=[("timing", 3.0)]).recording).probabilities
-    odd = mg.find_gap(mg.Recording(recording.time, field - fast, turn)).probabilities
+    delayed = mg.simulate("multi", 120, seed=3, effects=[("timing", 3.0)]).recording
+    candidates = ["timing", "eddy-plane", "gyro-scale", "misalignment", "cubic"]
+    late, odd = (
+        mg.find_gap(log, candidates=candidates).probabilities
+        for log in (delayed, mg.Recording(recording.time, field - fast, turn))
+    )
     assert late["timing"] > 0.95
     assert late[UNKNOWN] < 0.05
     assert odd[UNKNOWN] > 0.9

@@ -98,7 +98,7 @@ def test_a_late_magnetometer_is_found_with_its_delay_and_the_gap_shrinks(found_l
 
 
 def test_a_current_needs_its_channel(tmp_path: Path) -> None:
-    base = recording(13)
+    base = recording(13, duration=120)
     current = 4.0 * (np.sin(base.time / 13.0) > 0.2) + 0.3 * np.sin(2.1 * base.time)
     value = np.array([1e-7, -0.8e-7, 1.2e-7])
     candidates = ["motor-current", "hard-iron-step", "hard-iron-drift", "local-anomaly", "cubic"]
@@ -108,7 +108,7 @@ def test_a_current_needs_its_channel(tmp_path: Path) -> None:
     # The term is saved with the calibration and applied to a recording that has the channel.
     gap.calibration.save(tmp_path / "cal.yaml")
     cal = mg.Calibration.load(tmp_path / "cal.yaml")
-    other = recording(14)
+    other = recording(14, duration=120)
     both = with_field(other, current[:, None] * value, current=current)
     np.testing.assert_allclose(
         cal.apply(both), cal.apply(replace(other, channels={"current": 0 * current})), atol=3e-7

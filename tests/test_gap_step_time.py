@@ -24,7 +24,7 @@ def jumped(recording: Recording, time: float) -> Recording:
 
 def test_samples_next_to_a_jump_are_no_spikes() -> None:
     time = 80.14
-    gap = find_gap(jumped(simulate("wide", duration=240, seed=10).recording, time))
+    gap = find_gap(jumped(simulate("wide", duration=120, seed=10).recording, time))
     assert gap.names == ("hard-iron-step",)
     assert "spikes" not in gap.probabilities
     (step,) = gap.effects
@@ -33,9 +33,9 @@ def test_samples_next_to_a_jump_are_no_spikes() -> None:
 
 
 def test_spikes_elsewhere_are_named_beside_a_jump() -> None:
-    recording = jumped(simulate("wide", duration=240, seed=4).recording, 80.04)
+    recording = jumped(simulate("wide", duration=120, seed=4).recording, 80.04)
     field = recording.magnetic_field.copy()
-    field[[300, 1500, 1900]] += 12e-6
+    field[[300, 500, 1100]] += 12e-6
     gap = find_gap(replace(recording, magnetic_field=field))
     assert sorted(gap.names) == ["hard-iron-step", "spikes"]
     assert gap.probabilities["spikes"] > 0.95

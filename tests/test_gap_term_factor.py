@@ -71,7 +71,7 @@ def deviations(
 @pytest.mark.parametrize("name", ["temperature-hard-iron", "temperature-gyro", "local-anomaly"])
 def test_stretches_of_a_minute_share_what_was_found_in_the_whole(name: str) -> None:
     """What acts late, once, or over the whole recording: the value is the one of the whole but for the links lost."""
-    recording = mg.simulate("wide", duration=300, seed=2, effects=[(name, 2.0)]).recording
+    recording = mg.simulate("wide", duration=240, seed=2, effects=[(name, 2.0)]).recording
     found = mg.find_gap(recording, candidates=[name]).calibration
     assert [term.name for term in found.terms] == [name]
     (difference,), (sigma,) = deviations(recording, found, 60.0)
@@ -81,10 +81,10 @@ def test_stretches_of_a_minute_share_what_was_found_in_the_whole(name: str) -> N
 
 def test_two_effects_of_one_recording_are_one_factor() -> None:
     effects = [("motor-current", 2.0), ("misalignment", 2.0)]
-    recording = mg.simulate("wide", duration=300, seed=2, effects=effects, channels=["current"]).recording
+    recording = mg.simulate("wide", duration=180, seed=2, effects=effects, channels=["current"]).recording
     found = mg.find_gap(recording, candidates=["motor-current", "misalignment"]).calibration
     assert {term.name for term in found.terms} == {"motor-current", "misalignment"}
-    for length in (300.0, 100.0):
+    for length in (180.0, 90.0):
         differences, sigmas = deviations(recording, found, length)
         for difference, sigma in zip(differences, sigmas, strict=True):
             assert np.all(np.abs(difference) < 1.0)

@@ -21,10 +21,10 @@ BIAS = np.array([4e-3, -2e-3, 3e-3])
 OWN_SCALE = np.array([0.012, -0.009, 0.007])
 
 
-def scaled(motion: str, seed: int, scale: np.ndarray) -> mg.Recording:
-    """Return ten minutes of an instrument whose gyroscope reads ω ∘ (1 + scale) + bias."""
+def scaled(motion: str, seed: int, scale: np.ndarray, seconds: float = 300.0) -> mg.Recording:
+    """Return a recording of an instrument whose gyroscope reads ω ∘ (1 + scale) + bias."""
     dive = mg.simulate(
-        motion, 600, 10, seed=seed, soft_iron=SOFT_IRON, hard_iron=HARD_IRON_T, gyro_bias=BIAS
+        motion, seconds, 10, seed=seed, soft_iron=SOFT_IRON, hard_iron=HARD_IRON_T, gyro_bias=BIAS
     ).recording
     time, rate = dive.gyroscope
     return dive.with_samples(dive.magnetometer, (time, BIAS + (rate - BIAS) * (1 + scale)))
@@ -34,7 +34,7 @@ def test_the_covariance_with_the_calibration_is_honest() -> None:
     squares, with_scale, without = [], [], []
     for seed, motion in enumerate(["wide", "moderate", "low", "tiny"] * 3):
         scale = np.random.default_rng(seed).normal(0, PRIOR, 3)
-        dive = scaled(motion, 300 + seed, scale)
+        dive = scaled(motion, 300 + seed, scale, 600.0)
         found = mg.calibrate(dive, gyroscope_scale=PRIOR)
         assert found.trusted
         (term,) = (term for term in found.terms if term.name == "gyro-scale")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import os
 import subprocess
 import sys
@@ -53,6 +54,11 @@ def test_factors_need_no_more_than_gtsam_numpy_scipy_and_threadpoolctl(file: Pat
             assert own or module.split(".")[0] in allowed, f"line {node.lineno}: {module}"
 
 
+@functools.cache
+def parsed(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
 OWN = [file for file in (ROOT / "magyc_gtsam").rglob("*.py") if file.relative_to(ROOT).parts[1] != "factors"]
 
 
@@ -71,10 +77,7 @@ def test_a_fault_of_a_sensor_has_one_detector() -> None:
     called: dict[str, set[str]] = {}
     observing = set()
     for file in OWN:
-        tree, place = (
-            ast.parse(file.read_text(encoding="utf-8")),
-            file.relative_to(ROOT / "magyc_gtsam").as_posix(),
-        )
+        tree, place = parsed(file), file.relative_to(ROOT / "magyc_gtsam").as_posix()
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 called.setdefault(node.func.id, set()).add(place)
@@ -95,7 +98,7 @@ def test_a_fault_of_a_sensor_has_one_detector() -> None:
 def test_a_type_has_its_name_for_itself() -> None:
     where: dict[str, list[str]] = {}
     for file in [*OWN, *FILES]:
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        for node in parsed(file).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 where.setdefault(node.name, []).append(str(file.relative_to(ROOT)))
     assert len(where) > 200

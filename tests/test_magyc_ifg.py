@@ -34,7 +34,7 @@ def test_compressed_gives_every_estimate_of_the_published_graph(wide, optimizer,
         MagycGraph(compressed=each, optimizer=optimizer, prior=prior) for each in (True, False)
     )
     determined = 0
-    for window in windows_of(wide.recording):
+    for window in windows_of(wide.recording.between(0, 80)):
         status = [graph.add(*window).status for graph in (compressed, published)]
         assert status[0] == status[1]
         one, other = compressed.state, published.state
@@ -42,7 +42,7 @@ def test_compressed_gives_every_estimate_of_the_published_graph(wide, optimizer,
         np.testing.assert_allclose(one.d, other.d, atol=1e-9)
         np.testing.assert_allclose(one.b, other.b, atol=1e-9)
         determined += compressed.result.updated
-    assert determined > 90
+    assert determined > 70
     np.testing.assert_allclose(compressed.mean(), published.mean(), atol=1e-9)
 
 

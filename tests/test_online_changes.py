@@ -57,7 +57,7 @@ def test_a_step_is_found_timed_and_estimated(motion, at, step):
 
 def test_steel_changes_the_soft_iron_with_the_hard_iron():
     """The hard iron after it is not bent to the soft iron before it, which a step of hard iron alone keeps."""
-    simulation = simulate("wide", duration=400, seed=7001)
+    simulation = simulate("wide", duration=300, seed=7001)
     recording, truth = simulation.recording, simulation.truth
     steel = np.eye(3) + np.array([[0.02, 0.01, -0.02], [0.01, -0.03, 0.01], [-0.02, 0.01, 0.02]])
     field = recording.magnetic_field.copy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pty
@@ -218,10 +219,9 @@ def test_a_tap_before_the_first_state_has_arrived(idle: Served, browser: Any) ->
         context.close()
 
 
-@pytest.fixture
-def live_page(tmp_path: Path, browser: Any) -> Iterator[tuple[Any, Served]]:
+@contextlib.contextmanager
+def live_panel(server: Served, browser: Any) -> Iterator[Any]:
     """The live panel of a server's page; fails on errors of the page."""
-    server = Served(tmp_path)
     context = browser.new_context(viewport={"width": 400, "height": 850})
     context.set_default_timeout(1e3 * PATIENCE)
     wrong: list[str] = []
@@ -229,10 +229,20 @@ def live_page(tmp_path: Path, browser: Any) -> Iterator[tuple[Any, Served]]:
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.goto(server.address)
     page.locator("[data-tab=live]").click()
-    yield page, server
-    context.close()
-    server.stop()
+    try:
+        yield page
+    finally:
+        context.close()
     assert wrong == []
+
+
+@pytest.fixture
+def live_page(tmp_path: Path, browser: Any) -> Iterator[tuple[Any, Served]]:
+    """The live panel of a server of its own."""
+    server = Served(tmp_path)
+    with live_panel(server, browser) as page:
+        yield page, server
+    server.stop()
 
 
 def frozen_result(page: Any, server: Served, duration: float) -> Path:
@@ -271,21 +281,21 @@ def test_a_serial_port_that_is_named_by_hand(
         os.close(theirs)
 
 
-def test_a_port_is_not_chosen_while_another_is_typed(live_page: tuple[Any, Served]) -> None:
+def test_a_port_is_not_chosen_while_another_is_typed(idle: Served, browser: Any) -> None:
     """The list of ports may come late; it fills in a field that nobody is in."""
-    page, _ = live_page
-    held: list[Any] = []
-    page.route("**/api/ports", lambda route: held.append(route))
-    for focused, value in ((False, "/dev/ttyS0"), (True, "")):
-        page.locator("[data-kind=mavlink]").click()
-        with page.expect_request("**/api/ports"):
-            page.locator("[data-kind=serial]").click()
-        page.locator("#serial-port").fill("")
-        page.locator("#serial-port" if focused else "#baud").focus()
-        page.locator("#ports").evaluate("list => list.replaceChildren()")
-        held.pop().fulfill(json={"ports": ["/dev/ttyS0"]})
-        page.locator("#ports option").wait_for(state="attached")
-        assert page.locator("#serial-port").input_value() == value
+    with live_panel(idle, browser) as page:
+        held: list[Any] = []
+        page.route("**/api/ports", lambda route: held.append(route))
+        for focused, value in ((False, "/dev/ttyS0"), (True, "")):
+            page.locator("[data-kind=mavlink]").click()
+            with page.expect_request("**/api/ports"):
+                page.locator("[data-kind=serial]").click()
+            page.locator("#serial-port").fill("")
+            page.locator("#serial-port" if focused else "#baud").focus()
+            page.locator("#ports").evaluate("list => list.replaceChildren()")
+            held.pop().fulfill(json={"ports": ["/dev/ttyS0"]})
+            page.locator("#ports option").wait_for(state="attached")
+            assert page.locator("#serial-port").input_value() == value
 
 
 def test_an_autopilot_over_mavlink(live_page: tuple[Any, Served], lines: list[dict[str, Any]]) -> None:
