@@ -321,7 +321,7 @@ def test_effects_are_put_into_recordings() -> None:
 
 def test_what_a_real_recording_holds_anyway_is_not_judged(tmp_path: Path) -> None:
     """A recording that is late as it is: its delay is no wrong name beside a step, and to find one is no success."""
-    real = simulate("wide", 120, seed=3, effects=(("timing", 4.0),)).recording
+    real = simulate("wide", 80, seed=3, effects=(("timing", 4.0),)).recording
     every = real_scenarios(["log"], 1)
     chosen = [s for s in every if not s.names][:1] + [s for s in every if s.label in ("hard-iron-step", "timing")]
     run(tmp_path, chosen, {"log": real}, workers=1)

@@ -140,8 +140,8 @@ def test_rows_of_zeros_stand_for_no_value(wide: Simulation, sensor: str, name: s
     samples = {"magnetic_field": recording.magnetic_field, "angular_rate": recording.angular_rate, sensor: value}
     log = mg.Recording(recording.time, **samples)
     online = mg.OnlineCalibrator()
-    for i in range(0, 6000, 37):
-        online.update(log.time[i : i + 37], log.magnetic_field[i : i + 37], log.angular_rate[i : i + 37])
+    for i in range(0, 6000, 97):
+        online.update(log.time[i : i + 97], log.magnetic_field[i : i + 97], log.angular_rate[i : i + 97])
     expected = zero.sum() - (sensor == "magnetic_field") * (zero[1:] & zero[:-1]).sum()  # a repeat is no sample
     counts = set()
     for calibration in (mg.calibrate(log), online.calibration):

@@ -118,7 +118,7 @@ def test_the_time_of_a_step_has_a_sigma() -> None:
     errors, sigmas = [], []
     for seed in range(904, 910):
         simulation = mg.simulate("wide", 150, seed=seed, effects=[("hard-iron-step", 2.0 + 3.0 * (seed % 2))])
-        gap = mg.find_gap(simulation.recording, candidates=["hard-iron-step", "hard-iron-drift", "local-anomaly"])
+        gap = mg.find_gap(simulation.recording, candidates=["hard-iron-step", "hard-iron-drift"])
         truth = next(a.drawn["time"] for a in simulation.effects if a.name == "hard-iron-step")
         for effect in gap.effects:
             if effect.name == "hard-iron-step" and len(gap.effects) == 1:

@@ -105,7 +105,7 @@ def test_a_fast_hand_finds_plates_beside_a_delay() -> None:
     field += 0.1e-6 * random.standard_normal(field.shape)
     time, rate = time[::10], rate[::10] + 2e-3 * random.standard_normal(field.shape)
     inside = slice(5, -5)  # before the first sample nothing is known of the field
-    candidates = ["timing", "eddy-plane", "hysteresis", "gyro-scale", "misalignment"]
+    candidates = ["timing", "eddy-plane", "gyro-scale", "misalignment"]
     gap = mg.find_gap(mg.Recording(time[inside], field[inside], rate[inside]), candidates=candidates)
     found = {effect.name: effect for effect in gap.effects}
     assert found.keys() == {"timing", "eddy-plane"}

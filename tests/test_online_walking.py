@@ -32,7 +32,7 @@ def walking(motion, seed, *, hard_iron=0.0, bias=0.0, duration=700.0):
 def test_a_walking_hard_iron_is_known_as_well_as_is_said():
     scores = []
     for seed in range(2):
-        recording, hard_iron, _ = walking("wide", seed, hard_iron=4e-6, duration=280.0)
+        recording, hard_iron, _ = walking("wide", seed, hard_iron=4e-6, duration=200.0)
         online = feed(OnlineCalibrator(hard_iron_walk=4e-6), recording, step=50.0)
         assert online.converged
         assert online.changes == ()
@@ -53,7 +53,7 @@ def test_a_walking_bias_is_followed():
 
 
 def test_a_strong_walk_does_not_keep_it_from_converging():
-    recording, hard_iron, _ = walking("moderate", 4, hard_iron=5e-6, duration=320.0)
+    recording, hard_iron, _ = walking("moderate", 4, hard_iron=5e-6, duration=240.0)
     online = feed(OnlineCalibrator(hard_iron_walk=5e-6), recording, step=50.0)
     assert online.calibration.converged
     assert (np.abs(online.calibration.hard_iron - hard_iron) < 4 * online.calibration.sigma["hard_iron"]).all()
