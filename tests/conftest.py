@@ -26,9 +26,12 @@ settings.load_profile("any machine")
 LONGEST = (
     "test_gap_real.py",
     "test_gap_rates.py",
-    "test_many.py",
     "test_serve_page.py",
+    "test_serve.py",
     "test_serve_live.py",
+    "test_many.py",
+    "test_blindtest.py",
+    "test_cli_online.py",
     "test_magyc_ifg.py",
     "test_gap_find.py",
     "test_gap_honest.py",
@@ -98,7 +101,9 @@ def browser() -> Iterator[Any]:
     if path is None:
         pytest.skip("no Chromium found; name one in MAGYC_CHROMIUM")
     with api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+        chromium = playwright.chromium.launch(
+            executable_path=path, args=["--no-sandbox", "--disable-gpu", "--disable-software-rasterizer"]
+        )
         yield chromium
         chromium.close()
 
