@@ -21,6 +21,7 @@ from typing import Any
 import gtsam
 
 from magyc_gtsam.factors.alignment import AlignmentLimits
+from magyc_gtsam.factors.batch import minimum, solve_batch
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.entrance import Entrance, Optimize
@@ -31,7 +32,7 @@ from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
 from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
-from magyc_gtsam.factors.warm_up import WarmUp
+from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
 
 _QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
 _QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
@@ -55,6 +56,8 @@ class NativeFactors:
     Attributes:
         replaced: number of replacements so far.
         withdrawn: number of blocks removed because they were disturbed.
+        settled: whether the last `solve` ended at a minimum, with no kernel narrowing; where `optimize` was given,
+            whether no quadratic was stale there.
         health: the health at present.
     """
 
@@ -75,6 +78,7 @@ class NativeFactors:
         self.tolerance, self.quadratic = tolerance, quadratic
         self.replaced = 0
         self.withdrawn = 0
+        self.settled = False
         self._entrance = Entrance(alignment)
         self._examiner = None if health is None else Examiner(health)
         self._delivered: list[Delivered] = []
@@ -167,7 +171,7 @@ class NativeFactors:
         values: gtsam.Values,
         optimize: Optimize | None = None,
         *,
-        rounds: int = 20,
+        rounds: int = 50,
         examine: bool = False,
     ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         """Solve a batch; return its graph, with the Python factors as quadratics at the solution, and the solution.
@@ -180,26 +184,14 @@ class NativeFactors:
             rounds: largest number of rounds of optimising and renewing.
             examine: whether to judge each block at the solution, for `health`; takes some milliseconds per block.
         """
-        run = optimize or (lambda g, v: gtsam.LevenbergMarquardtOptimizer(g, v).optimize())
         new = sorted_factors(graph)
         fresh, own = new.fresh, gtsam.NonlinearFactorGraph(new.others)
-        values = self._entrance.start(own, values, fresh, run)
-        first = own.size()
+        values = self._entrance.start(own, values, fresh, optimize or minimum)
         self._delivered = fresh
-        self._kernels.narrow(View(values), fresh)
-        for i, each in enumerate(fresh):
-            if self.quadratic:
-                each.make(View(values))
-            each.slot = first + i
-            own.push_back(each.native)
-        for _ in range(rounds):
-            values = run(own, values)
-            self._kernels.narrow(View(values))
-            stale = self._renew(fresh, View(values))
-            if not stale:
-                break
-            for each in stale:
-                own.replace(each.slot, each.native)
+        values, self.settled, replaced = solve_batch(
+            own, values, fresh, optimize, rounds=rounds, tolerance=self.tolerance, quadratic=self.quadratic
+        )
+        self.replaced += replaced
         if examine and self._examiner is not None:
             self._examiner.restart()
             self._examiner.note_priors(new.holding)
@@ -222,7 +214,9 @@ class NativeFactors:
         fresh, examiner = new.fresh, self._examiner
         view = View(solver, values)
         self._forget(view)
-        self._kernels.narrow(view, fresh)
+        for block in robust_blocks(each.factor for each in fresh):
+            self._kernels.add(block, view.values(block.factor.keys()))
+        self._kernels.narrow()
         remove = [each.slot for each in self._withdraw_disturbed()]
         admission = self._entrance.admit(view, fresh, self._delivered, new.others)
         entering = admission.entering

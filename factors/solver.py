@@ -114,6 +114,13 @@ def update_solver(
     return solver.update(graph, values, stamps, list(remove))
 
 
+def predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
+    """Return the decrease of the linearised graph's error by the full Gauss–Newton step."""
+    linear = graph.linearize(values)
+    step = linear.optimize()
+    return float(linear.error(values.zeroVectors()) - linear.error(step))
+
+
 def new_slots(solver: Solver, result: Any, last: Sequence[gtsam.NonlinearFactor]) -> list[int]:
     """Return the slots of the last factors that an update added, in their order."""
     if isinstance(solver, gtsam.BatchFixedLagSmoother):  # its result does not contain them

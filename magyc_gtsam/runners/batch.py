@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import gtsam
@@ -17,6 +17,8 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import NonFiniteError
+from magyc_gtsam.factors.solver import predicted_decrease
+from magyc_gtsam.factors.warm_up import narrow, robust_blocks
 from magyc_gtsam.runners.status import Status
 
 Method = Literal["lm", "dogleg", "gauss-newton"]
@@ -67,6 +69,10 @@ def optimize(
 ) -> BatchResult:
     """Minimise the error of a graph.
 
+    A kernel inside a block of samples starts as wide as the blocks' misfit and narrows whenever a minimum is reached
+    (`kernels.narrowed`), so that a wrong start does not make every sample an outlier. A kernel in a noise model of
+    GTSAM keeps its width.
+
     Args:
         graph, initial: the problem; `initial` holds every key of the graph and is not changed.
         method: "lm" (Levenberg–Marquardt), "dogleg" (Powell's, the trust region of RISE) or "gauss-newton". Dogleg
@@ -88,7 +94,31 @@ def optimize(
     missing = [key for key in keys if not initial.exists(key)]
     if missing:
         raise MagycError(f"no initial value for {', '.join(called(key, names) for key in missing)}")
+    blocks = robust_blocks(graph.at(i) for i in range(graph.size()))
+    narrow(blocks, initial)
+    tolerances = relative_tolerance, absolute_tolerance
+    result = _minimised(graph, initial, method, *tolerances, max_iterations, progress, names)
+    while result.status in (Status.CONVERGED, Status.STALLED) and narrow(blocks, result.values):
+        left = max_iterations - result.iterations
+        step = _minimised(graph, result.values, method, *tolerances, left, progress, names, result.iterations)
+        result = replace(
+            step, iterations=result.iterations + step.iterations, errors=result.errors + step.errors[1:]
+        )
+    return result
 
+
+def _minimised(
+    graph: gtsam.NonlinearFactorGraph,
+    initial: gtsam.Values,
+    method: Method,
+    relative_tolerance: float,
+    absolute_tolerance: float,
+    max_iterations: int,
+    progress: Progress | None,
+    names: Mapping[int, str] | None,
+    before: int = 0,
+) -> BatchResult:
+    """Minimise the error with the kernels as they are, after `before` iterations with wider ones."""
     best = initial
     errors: list[float] = []
 
@@ -113,17 +143,19 @@ def optimize(
             if len(errors) > max_iterations:
                 return result(
                     Status.MAX_ITERATIONS,
-                    f"not converged after {max_iterations} iterations{_last(errors)}; allow more iterations",
+                    f"not converged after {before + max_iterations} iterations{_last(errors)}; allow more iterations",
                 )
             optimizer.iterate()
             errors.append(optimizer.error())
             if not np.isfinite(errors[-1]):
-                return result(Status.FAILED, f"the error became {errors[-1]} in iteration {len(errors) - 1}")
+                return result(
+                    Status.FAILED, f"the error became {errors[-1]} in iteration {before + len(errors) - 1}"
+                )
             decrease = min(errors[:-1]) - errors[-1]
             if decrease > 0:
                 best = gtsam.Values(optimizer.values())  # a copy: the next iteration frees the original
             if progress is not None:
-                progress(len(errors) - 1, errors[-1])
+                progress(before + len(errors) - 1, errors[-1])
         # The full Gauss–Newton step distinguishes a minimum from a failed step; solving for it also finds
         # undetermined variables, which damping hides.
         predicted = predicted_decrease(graph, best)
@@ -132,10 +164,11 @@ def optimize(
                 Status.STALLED,
                 f"{_obstacle(optimizer)}, although a fall by {predicted:.2g} from {min(errors):.3g} is predicted",
             )
-        return result(Status.CONVERGED, f"converged in {len(errors) - 1} iterations{_last(errors)}")
+        return result(Status.CONVERGED, f"converged in {before + len(errors) - 1} iterations{_last(errors)}")
     except KeyboardInterrupt:
         return result(
-            Status.INTERRUPTED, f"interrupted in iteration {len(errors)}; the best values so far are returned"
+            Status.INTERRUPTED,
+            f"interrupted in iteration {before + len(errors)}; the best values so far are returned",
         )
     except NonFiniteError as problem:
         return result(Status.FAILED, str(problem))
@@ -158,13 +191,6 @@ def undetermined(problem: RuntimeError) -> int | None:
 def called(key: int, names: Mapping[int, str] | None) -> str:
     """Return a key's name for messages: the caller's name, or GTSAM's."""
     return (names or {}).get(key) or str(gtsam.DefaultKeyFormatter(key))
-
-
-def predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
-    """Return the decrease of the linearised graph's error by the full Gauss–Newton step."""
-    linear = graph.linearize(values)
-    step = linear.optimize()
-    return float(linear.error(values.zeroVectors()) - linear.error(step))
 
 
 def _obstacle(optimizer: Any) -> str:

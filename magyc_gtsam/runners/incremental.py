@@ -16,15 +16,15 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import NonFiniteError, factor_details
-from magyc_gtsam.factors.kernels import narrowed
-from magyc_gtsam.runners.batch import called, predicted_decrease, undetermined
+from magyc_gtsam.factors.guard import NonFiniteError
+from magyc_gtsam.factors.solver import predicted_decrease
+from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
+from magyc_gtsam.runners.batch import called, undetermined
 from magyc_gtsam.runners.convergence import Convergence, IncrementalResult
 from magyc_gtsam.runners.isam import Factorization, Method, isam_parameters
 from magyc_gtsam.runners.status import Status
 
 _REFRESH = 10  # variables per update between two reads of the whole estimate
-_RECENT = 40  # last blocks whose misfit sets the width of the kernels
 
 
 class Incremental:
@@ -70,7 +70,7 @@ class Incremental:
         self._convergence = Convergence(method, tolerance, relinearize_threshold)
         self._since = 0  # number of updates since the whole estimate was read
         self._current = True
-        self._robust: list[Any] = []
+        self._kernels = WarmUp()
 
     @property
     def values(self) -> gtsam.Values:
@@ -171,20 +171,13 @@ class Incremental:
 
     def _warm_up(self, added: list[Any], new: gtsam.Values) -> None:
         """Set the widths of the kernels in blocks from the misfit of the last blocks."""
-        for factor in added:
-            details = factor_details(factor)
-            if getattr(details, "robust", None) is None:
-                continue
-            keys = list(factor.keys())
+        for block in robust_blocks(added):
+            keys = list(block.factor.keys())
             fresh = [key for key in keys if new.exists(key)]
             point = self._values.extract([key for key in keys if not new.exists(key)])
             point.insert(new.extract(fresh))
-            factor.error(point)  # sets the block's misfit
-            self._robust.append(details)
-        if self._robust:
-            width = narrowed([details.misfit for details in self._robust[-_RECENT:]])
-            for details in self._robust[-_RECENT:]:
-                details.width = width
+            self._kernels.add(block, point)
+        self._kernels.narrow()
 
     def _new_variables(self, factors: gtsam.NonlinearFactorGraph, initial: gtsam.Values | None) -> gtsam.Values:
         keys = [key for key in factors.keyVector() if not self._values.exists(key)]

@@ -1,0 +1,76 @@
+"""Batches with robust blocks from a wrong start: kernels begin wide, and what did not settle is told."""
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import A, H, X
+
+from magyc_gtsam.factors import KeyframeField, NativeFactors, keyframe_field_factor, vech
+from magyc_gtsam.runners import Status, optimize
+
+FIELD, UNIT, SIGMA = np.array([21e-6, 3e-6, 44e-6]), 50e-6, 0.5e-6
+SOFT_IRON = np.array([[1.08, 0.02, -0.03], [0.02, 0.94, 0.01], [-0.03, 0.01, 1.03]])
+SAMPLES = 41
+HARD_IRON = np.array([0.8, -0.5, 0.4])
+ODOMETRY = gtsam.noiseModel.Diagonal.Sigmas(np.r_[5e-3, 5e-3, 5e-3, 0.05, 0.05, 0.05])
+
+
+def problem(seed=0, poses=25):
+    """A vehicle that tilts: its graph, the truth, and a start that is far off."""
+    random = np.random.default_rng(seed)
+    graph, truth, start = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.Values()
+    tilts = np.random.default_rng(seed).normal(0, 0.2, (poses, 3))
+    graph.addPriorPose3(
+        X(0), gtsam.Pose3(), gtsam.noiseModel.Diagonal.Sigmas(np.r_[0.02, 0.02, 0.3, 0.1, 0.1, 0.1])
+    )
+    graph.addPriorVector(A(0), vech(np.eye(3)), gtsam.noiseModel.Isotropic.Sigma(6, 0.3))
+    graph.addPriorPoint3(H(0), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 1.5))
+    pose, time = gtsam.Pose3(), np.linspace(-1.0, 0.0, SAMPLES)
+    for k in range(poses):
+        rate = np.array([0.5 * np.sin(0.9 * k), 0.5 * np.cos(0.6 * k), 0.3])
+        if k:
+            step = gtsam.Pose3.Expmap(np.r_[rate, 0.5, 0.0, 0.0])
+            read = step.compose(gtsam.Pose3.Expmap(random.normal(size=6) * ODOMETRY.sigmas()))
+            graph.push_back(gtsam.BetweenFactorPose3(X(k - 1), X(k), read, ODOMETRY))
+            pose = pose.compose(step)
+        turned = [pose.rotation().compose(gtsam.Rot3.Expmap(rate * t)).matrix() for t in time]
+        field = np.array([SOFT_IRON @ each.T @ FIELD for each in turned]) + HARD_IRON * UNIT
+        field += SIGMA * random.normal(size=field.shape)
+        field[random.random(len(time)) < 0.1] += 20e-6
+        block = KeyframeField.from_samples((time, field), (time, np.tile(rate, (SAMPLES, 1))), 0.0)
+        graph.push_back(
+            keyframe_field_factor(X(k), A(0), H(0), block, SIGMA, field=FIELD, field_unit=UNIT, robust="cauchy")
+        )
+        truth.insert(X(k), pose)
+        off = gtsam.Rot3.Rz(2.0) * pose.rotation() * gtsam.Rot3.Expmap(tilts[k])
+        start.insert(X(k), gtsam.Pose3(off, np.zeros(3)))
+    truth.insert(A(0), vech(SOFT_IRON))
+    truth.insert(H(0), HARD_IRON)
+    start.insert(A(0), vech(np.eye(3)))
+    start.insert(H(0), np.array([-1.5, 1.5, -1.0]))
+    return graph, truth, start
+
+
+@pytest.mark.parametrize("seed", [0, 3])  # where kernels that are narrow from the beginning end elsewhere
+def test_a_wrong_start_ends_where_the_truth_does(seed):
+    graph, truth, start = problem(seed)
+    right = optimize(graph, truth)
+    sigma = np.sqrt(np.diag(gtsam.Marginals(graph, right.values).marginalCovariance(H(0))))
+    graph, _, _ = problem(seed)
+    native = NativeFactors()
+    for values, converged in (
+        (native.solve(graph, start)[1], native.settled),
+        ((found := optimize(graph, start)).values, found.converged),
+    ):
+        assert converged
+        assert values.atPoint3(H(0)) - right.values.atPoint3(H(0)) == pytest.approx(0, abs=0.3 * sigma.min())
+    assert found.errors[-1] == pytest.approx(graph.error(found.values), rel=0.02)
+    assert found.iterations == len(found.errors) - 1
+
+
+def test_what_did_not_settle_is_told():
+    graph, _, start = problem()
+    native = NativeFactors()
+    native.solve(graph, start, rounds=2)
+    assert not native.settled
+    assert optimize(graph, start, max_iterations=5).status is Status.MAX_ITERATIONS
