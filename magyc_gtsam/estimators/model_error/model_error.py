@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.alternating import alternating
 from magyc_gtsam.estimators.model_error.component import Component, tested
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
@@ -53,14 +54,17 @@ class ModelError:
         return self.covariance - sum((c.covariance for c in self.possible), np.zeros_like(self.covariance))
 
     def beside(self, other: Component) -> ModelError:
-        """Return the error with another component, of the same parameters or of the first of them."""
-        rows = slice(0, min(len(self.covariance), len(other.covariance)))
-        covariance = np.zeros_like(self.covariance)
-        covariance[rows, rows] = other.covariance[rows, rows]
-        more, probable = (replace(other, covariance=covariance),), other.share > _REPORTED_SHARE
-        components = (*self.components, *more) if probable else self.components
-        possible = self.possible if probable else (*self.possible, *more)
-        return ModelError(self.covariance + covariance, components, possible)
+        """Return the error with another component, of the same parameters, or of more or fewer of them."""
+        size = max(len(self.covariance), len(other.covariance))
+        own = replace(other, covariance=_padded(other.covariance, size))
+        probable = other.share > _REPORTED_SHARE
+        components = (*self.components, own) if probable else self.components
+        possible = self.possible if probable else (*self.possible, own)
+        padded = [
+            tuple(replace(c, covariance=_padded(c.covariance, size)) for c in each)
+            for each in (components, possible)
+        ]
+        return ModelError(_padded(self.covariance, size) + own.covariance, *padded)
 
     @property
     def field_variation(self) -> tuple[float, float | None] | None:
@@ -78,20 +82,29 @@ class ModelError:
         return tuple(sorted(every, key=lambda c: -float(np.trace(c.covariance[rows, rows]))))
 
 
+def _padded(covariance: Array, size: int) -> Array:
+    return np.pad(covariance, (0, size - len(covariance)))
+
+
 def model_error(fit: Fit, recording: Streams | None = None) -> ModelError:
-    """Return the model error of a fit at its minimum, with the outliers that the samples show within windows."""
+    """Return the model error of a fit at its minimum, with what the samples show within windows."""
     error = _of_windows(fit, 0.0 if recording is None else coarse_step(recording))
-    outliers = None if recording is None else one_sided(recording)
-    if outliers is None:
+    if recording is None:
         return error
-    covariance = np.zeros_like(error.covariance)
-    covariance[_HARD_IRON, _HARD_IRON] = np.outer(outliers.shift, outliers.shift)
-    size, gain = (
-        float(np.linalg.norm(outliers.shift)),
-        0.5 * float(np.square(outliers.shift / outliers.sigma).sum()),
-    )
-    found = Component("outliers", outliers.sentence, size, gain, covariance)
-    return ModelError(error.covariance + covariance, (*error.components, found), error.possible)
+    found = [
+        _of_hard_iron(name, each.sentence, each.size, each.gain, each.second, len(error.covariance))
+        for name, each in (("outliers", one_sided(recording)), ("alternation", alternating(recording)))
+        if each is not None
+    ]
+    covariance = error.covariance + sum((each.covariance for each in found), np.zeros_like(error.covariance))
+    return ModelError(covariance, (*error.components, *found), error.possible)
+
+
+def _of_hard_iron(name: str, sentence: str, size: float, gain: float, second: Array, count: int) -> Component:
+    """Return a component that moves the hard iron, one of `count` parameters, with the second moment (3, 3) T²."""
+    covariance = np.zeros((count, count))
+    covariance[_HARD_IRON, _HARD_IRON] = second
+    return Component(name, sentence, size, gain, covariance)
 
 
 def _of_windows(fit: Fit, step: float) -> ModelError:

@@ -44,10 +44,24 @@ class Outliers(NamedTuple):
     sigma: Array
 
     @property
+    def size(self) -> float:
+        """The shift in T."""
+        return float(np.linalg.norm(self.shift))
+
+    @property
+    def gain(self) -> float:
+        """Gain in log-likelihood."""
+        return 0.5 * float(np.square(self.shift / self.sigma).sum())
+
+    @property
+    def second(self) -> Array:
+        """(3, 3) T², second moment of the shift."""
+        return np.outer(self.shift, self.shift)
+
+    @property
     def sentence(self) -> str:
         """The shift in words."""
-        size = float(np.linalg.norm(self.shift)) * 1e6
-        return f"the magnetometer's outliers lie to one side and shift its mean by {size:.2g} µT"
+        return f"the magnetometer's outliers lie to one side and shift its mean by {1e6 * self.size:.2g} µT"
 
 
 def one_sided(recording: Streams) -> Outliers | None:

@@ -1,0 +1,61 @@
+"""Test for a reading whose samples alternate between two values, which the means of the windows hide.
+
+Calibrated and raw readings in one topic, two magnetometers in one, or a bridge that is set and reset for every sample
+alternate by ±a. The windows then hold the mean of both, and a calibration of the mean is off by a for every sample.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.preparation import Streams
+
+_BLOCK = 64  # samples after which the order of the two may have changed, by a lost sample
+_MOST = 20000  # most samples used
+_LEAST = 256  # samples
+_SHARE = 3 / 8  # variance of a sample's alternation by itself over that of its noise
+_SIGNIFICANT = 18.0  # gain in log-likelihood; 29 real logs reach 0.8, 240 simulated ones 5.9
+
+
+class Alternation(NamedTuple):
+    """An alternation by ±a: its second moment E[a aᵀ] (3, 3) T² over the recording, and its gain in log-likelihood."""
+
+    second: np.ndarray
+    gain: float
+
+    @property
+    def size(self) -> float:
+        """Root mean square of a, T."""
+        return float(np.sqrt(np.trace(self.second)))
+
+    @property
+    def sentence(self) -> str:
+        """The alternation in words."""
+        return (
+            f"every second sample of the magnetometer differs by {2e6 * self.size:.2g} µT from those between: two "
+            "sensors, or raw and calibrated readings, in one stream?"
+        )
+
+
+def alternating(recording: Streams) -> Alternation | None:
+    """Return the alternation of the magnetometer's samples; None if it is not significant.
+
+    Each sample less the mean of its neighbours holds the alternation twice, and of motion its curvature, which does
+    not alternate. Its mean over a block has the variance of white noise if there is no alternation.
+    """
+    field = recording.magnetometer.value[:_MOST]
+    if len(field) < _LEAST:
+        return None
+    apart = 0.5 * field[1:-1] - 0.25 * (field[:-2] + field[2:])
+    apart[1::2] *= -1
+    blocks = apart[: len(apart) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, 3)
+    mean = blocks.mean(axis=1)
+    inside = np.square(blocks - mean[:, None]).sum(axis=(0, 1)) / (len(blocks) * (_BLOCK - 1))
+    noise = np.maximum(inside / (_SHARE * _BLOCK), 1e-30)  # T², variance of `mean` by noise
+    ratio = float((np.square(mean) / noise).mean())
+    gain = 0.5 * mean.size * (ratio - 1 - np.log(ratio)) if ratio > 1 else 0.0
+    if gain < _SIGNIFICANT:
+        return None
+    return Alternation(mean.T @ mean / len(mean), gain)
