@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import polar
+from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import OnlineCalibrator, simulate
 
@@ -10,7 +12,9 @@ CHANGED = 200.0  # s
 
 
 def readings(seed):
-    """Return (time since the change, largest error of the soft iron in sigmas, whether a change is named) of each."""
+    """Return of each (time since the change, largest error of the soft iron and error of the misalignment in sigmas,
+    whether a change is named).
+    """
     simulation = simulate("wide", duration=220, seed=seed)
     recording, truth = simulation.recording, simulation.truth
     steel = np.eye(3) + np.random.default_rng(seed).normal(0, 0.03, (3, 3))
@@ -27,16 +31,22 @@ def readings(seed):
         expected = steel @ truth.soft_iron if now > 0 else truth.soft_iron
         squares = [each @ each.T / np.cbrt(np.linalg.det(each)) ** 2 for each in (calibration.soft_iron, expected)]
         off = np.abs(squares[0] - squares[1]).max() / (2 * calibration.sigma["soft_iron"].max())
+        turned = Rotation.from_matrix(polar(expected, "left")[0]).as_rotvec()
+        found = next((-term.value for term in calibration.terms if term.name == "misalignment"), np.zeros(3))
+        spread = np.trace(calibration.diagnostics["skew"]["covariance"])
+        askew = np.linalg.norm(turned - found) / np.sqrt(spread)
         named = [each["name"] for each in calibration.diagnostics["model_error"]["components"]]
-        result.append((now, off, "recent change" in named))
+        result.append((now, off, askew, "recent change" in named))
     return result
 
 
 def test_the_sigmas_cover_a_change_of_the_soft_iron_that_is_not_yet_found():
     every = [reading for seed in (8200, 8202, 8203) for reading in readings(seed)]
-    before = [named for now, _, named in every if now < 0]
-    after = [off for now, off, _ in every if now > 5]
+    before = [named for now, _, _, named in every if now < 0]
+    after = np.array([both for now, *both, _ in every if now > 5])
     assert len(before) > 12
     assert not any(before)
     assert len(after) > 8
-    assert max(after) < 3  # 7 to 15 without the widening
+    assert (
+        after.max() < 3
+    )  # 7 to 15 without the widening; without the turn in it the misalignment is off by 14 to 50

@@ -4,8 +4,10 @@ A robust fit rejects the windows after a change as disturbed, and keeps the cali
 was, until they are many; if the change is small, it mixes both. At a reading, a change of soft and hard iron before the
 newest 2, 4, 8, … windows is therefore tested by its score, all windows since counting alike. Where one is possible,
 these windows are fitted again, given the marginal of those before them, with an iron that may have changed, and with
-another field of the place, which explains as much until the sensor turns. With p the probability that the iron changed
-rather than the place, or a disturbance came, and θ' and C' the parameters and their covariance if it did,
+another field of the place, which explains as much until the sensor turns. Steel beside a sensor need not have a
+symmetric soft iron: the change may turn the field as well, which is a misalignment of the chips. With p the
+probability that the iron changed rather than the place, or a disturbance came, and θ' and C' the parameters and their
+covariance if it did,
 
     p (C' + d dᵀ),   d = θ' − θ,
 
@@ -23,9 +25,10 @@ from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.components import likeliest
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import adapt, truncated
+from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import Weights
-from magyc_gtsam.factors.chain.field_chain import WITH_SKEW
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
@@ -34,6 +37,7 @@ from magyc_gtsam.online.state import continued
 
 _IRON = slice(0, 9)  # soft iron times field strength, and hard iron: T
 _FEWEST = 3  # windows before a change
+_ALIGNED = 1e-5  # rad, standard deviation of a misalignment that was not corrected, before a change
 _KNOWN = 1e9  # degrees of freedom of a noise level that is known
 
 
@@ -127,13 +131,23 @@ def _scores(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Score]:
     return result
 
 
+def _aligned(past: Marginal) -> Marginal:
+    """Return the marginal without a misalignment."""
+    kept = np.ones(len(past.gradient))
+    kept[SKEW] = 0.0
+    return past._replace(
+        information=past.information * np.outer(kept, kept) + np.diag((1 - kept) / _ALIGNED**2),
+        gradient=past.gradient * kept,
+    )
+
+
 class _Change(NamedTuple):
     """A change `duration` s ago.
 
     Attributes:
         of_iron: whether it is one of the iron, not of the field of the place.
         evidence: log-likelihood ratio against none.
-        away: (p,) θ with it less θ without it; second: (p, p) its second moment.
+        away: (16,) θ with it less θ without it; second: (16, 16) its second moment.
     """
 
     of_iron: bool
@@ -149,10 +163,15 @@ def _changes(fit: Fit, chain: ContinuedChain, first: int, sigma: float) -> list[
     Either is left out if the windows determine no fit.
     """
     past = chain.marginalise(fit.state, fit.weights, first - 1)
+    if len(fit.state.parameters) == PARAMETERS:
+        past = _aligned(past)
     soft_iron = fit.state.parameters[:6]
     strength = float(np.cbrt(abs(np.linalg.det(unvech(soft_iron)))))
-    iron, place = np.zeros((len(past.gradient), 9)), np.zeros((len(past.gradient), 3))
-    iron[_IRON] = sigma * np.eye(9)
+    iron, place = np.zeros((len(past.gradient), 12)), np.zeros((len(past.gradient), 3))
+    iron[_IRON, :9] = sigma * np.eye(9)
+    iron[SKEW, 9:] = (
+        np.sqrt(0.5) * sigma / strength * np.eye(3)
+    )  # what is not symmetric of a soft iron turns the field
     place[:6, 0] = sigma / strength * soft_iron  # the strength of the field
     place[WITH_SKEW:, 1:] = sigma / strength * np.eye(2)  # its direction
     either = [
@@ -166,6 +185,7 @@ def _change(
 ) -> _Change | None:
     """Return the change before window `first` by `columns` (18, k) of standard deviation one each."""
     last = first - 1
+    before_it = with_angles(fit.state.parameters)
     onto = past.information @ columns
     inside = np.eye(columns.shape[1]) + columns.T @ onto
     gain = np.linalg.solve(inside, onto.T).T
@@ -176,7 +196,8 @@ def _change(
     windows = chain.windows.part(last, len(chain.windows))
     newest = replace(chain, windows=windows, past=widened, facts=())
     try:
-        changed = adapt(descend(begin(newest, fit.state.parameters, fit.free), NEAR), True, None)
+        free = np.append(fit.free[:PARAMETERS], np.ones(3, dtype=bool))
+        changed = adapt(descend(begin(newest, before_it, free), NEAR), True, None)
     except MagycError:  # a direction without curvature
         return None
     window, link = truncated(chain, fit.residuals)
@@ -185,7 +206,8 @@ def _change(
     slope = columns.T @ past.gradient
     by_past = 2 * newest.past_cost(changed.state) - float(slope @ np.linalg.solve(inside, slope))
     volume = _log_volume(changed) - _log_volume(fit) - float(np.linalg.slogdet(inside)[1])
-    away = changed.state.parameters - fit.state.parameters
+    volume -= 2 * (len(before_it) - len(fit.state.parameters)) * float(np.log(_ALIGNED))
+    away = changed.state.parameters - before_it
     second = fit.colour * changed.covariance + np.outer(away, away)
     evidence = 0.5 * ((before - after - by_past) / fit.colour + volume)
     return _Change(of_iron, float(windows.time[-1] - windows.time[0]), evidence, away, second)
