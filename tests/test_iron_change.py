@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -69,3 +70,17 @@ def test_another_field_at_the_place_is_none(seed: int) -> None:
     calibration = mg.calibrate(with_field(recording, inside[:, None] * wall))
     assert "hard iron changed" not in calibration.message
     assert "hard iron changed" not in mg.calibrate(recording).message
+
+
+@pytest.mark.parametrize(("start", "end"), [(0.0, 150.0), (120.0, 250.0)])
+def test_a_part_of_another_instrument_is_told_from_a_disturbance(start: float, end: float) -> None:
+    recording = wide(1)
+    inside = (recording.time >= start) & (recording.time < end)
+    other = Rotation.from_rotvec(np.radians([0, 5, 0])).as_matrix() @ np.diag([1.12, 0.9, 1.05])
+    field = recording.magnetic_field.copy()
+    field[inside] = field[inside] @ other.T + 10 * CHANGE
+    calibration = mg.calibrate(replace(recording, magnetic_field=field))
+    assert not calibration.trusted
+    found = re.search(r"the instrument is another one between (\d+) and (\d+) s", calibration.message)
+    assert found is not None
+    assert [float(each) for each in found.groups()] == pytest.approx([start, end], abs=4)

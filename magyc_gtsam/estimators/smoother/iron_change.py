@@ -76,7 +76,7 @@ def hard_iron_change(
         fit, calibration: of the whole recording.
         options: of that fit.
     """
-    stretches = _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window, options.window)
+    stretches = disturbed_stretches(recording, fit, options)
     if not len(stretches) or not fit.converged or calibration.covariance is None:
         return None
     try:
@@ -96,6 +96,11 @@ def hard_iron_change(
     if explained and apart and np.linalg.norm(change) > _LIMITS.smallest * strength:
         return IronChange(stretches, change)
     return None
+
+
+def disturbed_stretches(recording: Recording, fit: Fit, options: SmootherOptions) -> Array:
+    """Return the stretches (k, 2), from and to in s since the first row, that a fit rejects."""
+    return _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window, options.window)
 
 
 def _refit(recording: Recording, fit: Fit, options: SmootherOptions) -> tuple[Fit, Array] | None:

@@ -22,7 +22,8 @@ from magyc_gtsam.estimators.model_error.verdict import variation
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.gyroscope_scale import scale_of, with_scale
-from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
+from magyc_gtsam.estimators.smoother.instrument_change import instrument_change
+from magyc_gtsam.estimators.smoother.iron_change import disturbed_stretches, hard_iron_change
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
 from magyc_gtsam.estimators.smoother.minima import positive
@@ -62,9 +63,13 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     fit, rival = fit_field_chain(recording, options, progress=report)
     doubts = _contradictions(recording, options)
     calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
+    stretches = disturbed_stretches(recording, fit, options)
     change = hard_iron_change(recording, fit, calibration, options)
-    if change is not None:
-        doubts = [change.sentence(recording), *doubts]
+    doubt = "" if change is None else change.sentence(recording)
+    if not doubt and len(stretches) and calibration.trusted:
+        doubt = instrument_change(recording, stretches, calibration, options, _of)
+    if doubt:
+        doubts = [doubt, *doubts]
         calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
 
     def refit(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
@@ -79,6 +84,11 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         calibration = calibration_of(corrected, fit, rival, options, doubts=doubts)
     report(1.0)
     return with_drift(calibration, drift)
+
+
+def _of(recording: Recording, options: SmootherOptions) -> Calibration:
+    fit, rival = fit_field_chain(recording, options)
+    return calibration_of(recording, fit, rival, options)
 
 
 def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
