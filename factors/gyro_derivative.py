@@ -163,12 +163,6 @@ class CompressedGyroDerivative:
             triangular = _triangular(triangular, _monomial_design(m[rows], rate[rows], w[rows]))
         return CompressedGyroDerivative(triangular, self.samples + len(m))
 
-    def merge(self, other: CompressedGyroDerivative) -> CompressedGyroDerivative:
-        """Return a compression that includes the samples of another."""
-        return CompressedGyroDerivative(
-            _triangular(self.triangular, other.triangular), self.samples + other.samples
-        )
-
     def error(self, l: Array, d: Array, b: Array, want_jacobians: bool = False) -> Residual:  # noqa: E741
         """Return T z (21,), and its Jacobians on l, d, b: (21, 6), (21, 3), (21, 3)."""
         z, jacobians = _monomials(l, d, b, want_jacobians)

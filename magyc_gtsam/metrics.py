@@ -66,17 +66,12 @@ def matrix_error(matrix: ArrayLike, true_matrix: ArrayLike) -> float:
     return float(np.linalg.norm(matrix - true_matrix @ left @ right))
 
 
-def model_cost(
-    matrix: ArrayLike, offset: ArrayLike, true_matrix: ArrayLike, true_offset: ArrayLike, *, squared: bool = True
-) -> float:
-    """Return J = J_h + J_T: Review (74), or (75) with matrix = I and offset = 0.
+def model_cost(matrix: ArrayLike, offset: ArrayLike, true_matrix: ArrayLike, true_offset: ArrayLike) -> float:
+    """Return J = J_h² + J_T²: Review (74), or (75) with matrix = I and offset = 0.
 
-    Args:
-        squared: add the squares of the norms. The review prints the plain norms, but its Table 2 can only be
-            reproduced with squares.
+    The review prints the sum of the plain norms, but its Table 2 can only be reproduced with squares.
     """
-    power = 2 if squared else 1
-    return offset_error(offset, true_offset) ** power + matrix_error(matrix, true_matrix) ** power
+    return offset_error(offset, true_offset) ** 2 + matrix_error(matrix, true_matrix) ** 2
 
 
 @dataclass(frozen=True)
@@ -144,35 +139,6 @@ def heading_error(field: ArrayLike, attitude: ArrayLike, declination: float | No
 def heading_deviation(field: ArrayLike, attitude: ArrayLike) -> float:
     """Return the standard deviation (deg) of `heading_error` about the mean direction, where the attitude is known."""
     return float(np.degrees(np.nanstd(heading_error(field, attitude))))
-
-
-def soft_iron_distance(one: ArrayLike, other: ArrayLike, *, scale: bool = False) -> float:
-    """Return the distance of two soft irons (3, 3) in the affine-invariant metric of positive definite matrices.
-
-    It is √Σ log² λ_i with the eigenvalues λ_i of one⁻¹ other (Förstner and Moonen 1999; Pennec et al. 2006),
-    independent of axes and units: 0.01 is a relative difference of 1 % along one axis.
-
-    Args:
-        one, other: symmetric positive definite.
-        scale: include a common factor. By default both are scaled to determinant 1, since the field strength
-            is a convention.
-
-    Raises:
-        MagycError: one of them is not symmetric positive definite.
-    """
-    matrices = [np.asarray(each, dtype=np.float64) for each in (one, other)]
-    for each in matrices:
-        if (
-            not np.allclose(each, each.T, rtol=0, atol=1e-9 * np.abs(each).max())
-            or np.linalg.eigvalsh(each)[0] <= 0
-        ):
-            raise MagycError(f"soft iron {each.tolist()} is not symmetric positive definite")
-    from scipy.linalg import eigh
-
-    logarithm = np.log(eigh(matrices[1], matrices[0], eigvals_only=True))
-    if not scale:
-        logarithm = logarithm - logarithm.mean()
-    return float(np.linalg.norm(logarithm))
 
 
 def _turned(quaternion: Array, vector: Array) -> Array:

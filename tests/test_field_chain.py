@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, forwar
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
-from magyc_gtsam.factors.chain.rotations import exponential_matrices, increments, tangent_basis
+from magyc_gtsam.factors.chain.rotations import exponential_matrices, increments, tangent_frame
 from magyc_gtsam.factors.field_chain import field_chain_factor
 from magyc_gtsam.simulation import simulate
 
@@ -74,7 +74,7 @@ def whitened(chain, state, weights):
 
 def dense_jacobian(chain, state, weights):
     """Central differences of all residuals on θ and on both tangent coordinates of every direction."""
-    basis, columns = tangent_basis(state.direction), []
+    basis, columns = tangent_frame(state.direction)[:, 1:], []
     for unit in np.diag(STEP)[: len(state.parameters), : len(state.parameters)]:
         moved = [state._replace(parameters=state.parameters + s * unit) for s in (1, -1)]
         step = unit.sum()
@@ -113,7 +113,7 @@ def test_elimination_is_dense_algebra_on_the_numeric_jacobian(chain, state, weig
     step = -np.linalg.solve(information * scale * scale[:, None], expected) * scale * 1e-3
     ahead = chain.move(state, reduced, step)
     tangent = -(solved[:, p] + solved[:, :p] @ step).reshape(-1, 2)
-    direction = state.direction + np.einsum("ian,na->in", tangent_basis(state.direction), tangent)
+    direction = state.direction + np.einsum("ian,na->in", tangent_frame(state.direction)[:, 1:], tangent)
     np.testing.assert_allclose(ahead.direction, direction / np.linalg.norm(direction, axis=0), atol=1e-8)
     np.testing.assert_array_equal(ahead.parameters, state.parameters + step)
 
@@ -345,7 +345,7 @@ def test_tangent_bases_are_orthonormal_also_at_the_poles():
     directions = np.random.default_rng(0).normal(size=(3, 20))
     directions[:, :2] = [[0, 0], [0, 0], [1, -1]]
     directions /= np.linalg.norm(directions, axis=0)
-    frame = np.concatenate([directions[:, None], tangent_basis(directions)], axis=1)
+    frame = np.concatenate([directions[:, None], tangent_frame(directions)[:, 1:]], axis=1)
     np.testing.assert_allclose(np.einsum("ian,ibn->nab", frame, frame), np.tile(np.eye(3), (20, 1, 1)), atol=1e-15)
 
 

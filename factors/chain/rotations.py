@@ -212,8 +212,3 @@ def tangent_frame(direction: Array) -> Array:
     frame[1, 2] += sign
     np.negative(y, out=frame[2, 2])
     return frame
-
-
-def tangent_basis(direction: Array) -> Array:
-    """Return orthonormal tangent bases (3, 2, n) of unit vectors (3, n)."""
-    return tangent_frame(direction)[:, 1:]

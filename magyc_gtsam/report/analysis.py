@@ -49,12 +49,10 @@ class Coverage:
     """Time that the field spent in each cell of direction, in sensor axes.
 
     Attributes:
-        longitude: (25,) rad, cell edges about the z axis, from x towards y.
         sine: (13,) sine of the latitude, cell edges from −z to +z.
         seconds: (12, 24) s per cell, all cells of the same area.
     """
 
-    longitude: Array
     sine: Array
     seconds: Array
 
@@ -111,7 +109,7 @@ def coverage(time: Array, field: Array) -> Coverage:
     longitude = np.linspace(-np.pi, np.pi, _CELLS[0] + 1)
     sine = np.linspace(-1, 1, _CELLS[1] + 1)
     visits, _, _ = np.histogram2d(unit[:, 2], np.arctan2(unit[:, 1], unit[:, 0]), bins=(sine, longitude))
-    return Coverage(longitude, sine, visits * float(np.median(np.diff(time))))
+    return Coverage(sine, visits * float(np.median(np.diff(time))))
 
 
 def ellipsoid_outline(matrix: Array, centre: Array, plane: tuple[int, int]) -> Array:

@@ -63,7 +63,7 @@ def by_log(names: Sequence[str], hard_iron: Array, sigma: Array) -> list[Figure]
     return figures
 
 
-def history_page(history: History, title: str = "History of an instrument") -> str:
+def history_page(history: History) -> str:
     """Return the page of a history: hard iron over the logs, jumps, contradictions, groups, the next calibration."""
     jumps, names = history_rows(history), history.names
     following = history.next
@@ -87,7 +87,9 @@ def history_page(history: History, title: str = "History of an instrument") -> s
         Section("For the next log", ("", "x", "y", "z"), parameters, [following.message]),
     ]
     verdict = judged_history(history)
-    return summary_page(title, verdict.title, verdict.trusted, [said(verdict.reason)], sections)
+    return summary_page(
+        "History of an instrument", verdict.title, verdict.trusted, [said(verdict.reason)], sections
+    )
 
 
 def judged_history(history: History) -> Verdict:

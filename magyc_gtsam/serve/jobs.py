@@ -98,14 +98,13 @@ class Job:
 
 
 class Jobs:
-    """A queue of jobs.
+    """A queue of jobs, of which one per core runs at a time.
 
     Args:
         place: folder in which the jobs run.
         limits: bounds on number, time and output.
         changed: called when the state of a job changes.
         done: called with each job that has ended.
-        at_once: number of jobs that run at a time; None for one per core.
     """
 
     def __init__(
@@ -114,11 +113,10 @@ class Jobs:
         limits: Limits,
         changed: Callable[[], None],
         done: Callable[[Job], None],
-        at_once: int | None = None,
     ) -> None:
         self.all: dict[str, Job] = {}
         self._limits, self._changed, self._done = limits, changed, done
-        count = at_once or os.cpu_count() or 1
+        count = os.cpu_count() or 1  # that run at a time
         self._free = asyncio.Semaphore(count)
         self._workers = Workers(place, min(count, _WAITING))
         self._tasks: set[asyncio.Task[None]] = set()

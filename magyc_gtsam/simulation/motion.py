@@ -38,19 +38,24 @@ def kinematics(angle: Array, derivative: Array) -> tuple[Rotation, Array]:
     return Rotation.from_euler("ZYX", angle[:, ::-1]), angular_rate
 
 
+def _waves(amplitude: Array, frequency: Array, random: np.random.Generator) -> Path:
+    """Return the path of angles that are sums of waves: amplitudes, rad, and frequencies, rad/s, (3,) or (3, waves)."""
+    amplitude, frequency = (each.reshape(3, -1) for each in (amplitude, frequency))
+    phase = random.uniform(-np.pi, np.pi, amplitude.shape)
+
+    def angles(time: Array) -> Angles:
+        argument = time[:, None, None] * frequency + phase
+        return (amplitude * np.sin(argument)).sum(axis=2), (amplitude * frequency * np.cos(argument)).sum(axis=2)
+
+    return angles
+
+
 def sinusoids(amplitude: Sequence[float]) -> Motion:
     """Return the motion A sin(w/A t + φ) of each angle, with largest rate w; `amplitude` (3,) in degrees."""
 
     def draw(random: np.random.Generator) -> Path:
         largest = np.deg2rad(amplitude)
-        frequency = random.uniform(*np.transpose(RATES)) / largest
-        phase = random.uniform(-np.pi, np.pi, 3)
-
-        def angles(time: Array) -> Angles:
-            argument = time[:, None] * frequency + phase
-            return largest * np.sin(argument), largest * frequency * np.cos(argument)
-
-        return angles
+        return _waves(largest, random.uniform(*np.transpose(RATES)) / largest, random)
 
     return draw
 
@@ -67,14 +72,7 @@ def _multi(random: np.random.Generator) -> Path:
     """Return a path with three waves of random period per angle, as of a vehicle that turns in a swell."""
     amplitude = np.deg2rad([waves for waves, _ in _WAVES.values()])  # (3, waves)
     period = np.array([random.uniform(*np.transpose(ranges)) for _, ranges in _WAVES.values()])
-    frequency = 2 * np.pi / period
-    phase = random.uniform(-np.pi, np.pi, amplitude.shape)
-
-    def angles(time: Array) -> Angles:
-        argument = time[:, None, None] * frequency + phase
-        return (amplitude * np.sin(argument)).sum(axis=2), (amplitude * frequency * np.cos(argument)).sum(axis=2)
-
-    return angles
+    return _waves(amplitude, 2 * np.pi / period, random)
 
 
 def _level(roll: float, pitch: float, turn_rate: tuple[float, float]) -> Motion:
@@ -87,14 +85,7 @@ def _level(roll: float, pitch: float, turn_rate: tuple[float, float]) -> Motion:
     def draw(random: np.random.Generator) -> Path:
         amplitude = np.deg2rad([roll, pitch, 360.0])
         waves = 2 * np.pi / random.uniform((5, 6), (12, 14))
-        frequency = np.append(waves, random.uniform(*turn_rate) / amplitude[2])
-        phase = random.uniform(-np.pi, np.pi, 3)
-
-        def angles(time: Array) -> Angles:
-            argument = time[:, None] * frequency + phase
-            return amplitude * np.sin(argument), amplitude * frequency * np.cos(argument)
-
-        return angles
+        return _waves(amplitude, np.append(waves, random.uniform(*turn_rate) / amplitude[2]), random)
 
     return draw
 

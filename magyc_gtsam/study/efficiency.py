@@ -64,8 +64,6 @@ def efficiency(
     motion: str,
     runs: int = 100,
     *,
-    duration: float = 600.0,
-    rate: float = 10.0,
     gyroscope_noise: float = 5e-3,
     disturbed: float = 0.0,
     method: Callable[[Recording], Calibration] = calibrate,
@@ -77,7 +75,7 @@ def efficiency(
     Args:
         motion: as in `simulate`.
         runs: number of recordings.
-        duration, rate, gyroscope_noise: parameters of the simulation, s, Hz and rad/s.
+        gyroscope_noise: of the simulation, rad/s.
         disturbed: share of the one-second stretches to which up to 50 µT are added.
         method: recording → calibration with covariance.
         first_seed: seed of the first recording; the others follow.
@@ -85,7 +83,7 @@ def efficiency(
     """
     deviations, bounds, consistency, refused = [], [], [], 0
     for seed in range(first_seed, first_seed + runs):
-        simulation = simulate(motion, duration, rate, seed, gyroscope_noise=gyroscope_noise)
+        simulation = simulate(motion, seed=seed, gyroscope_noise=gyroscope_noise)
         recording = disturb(simulation.recording, disturbed, seed=seed) if disturbed else simulation.recording
         estimate = method(recording)
         refused += not estimate.converged

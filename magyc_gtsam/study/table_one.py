@@ -88,7 +88,6 @@ def table_one(
     methods: tuple[str, ...] = (*list(PUBLISHED)[1:], "magfactor3", "smoother"),
     convention: str = "ours",
     gyroscope_noise: float = 5e-3,
-    samples: int = SAMPLES,
     running: Running = HERE,
 ) -> list[MethodOnMotion]:
     """Calibrate `runs` recordings of each motion with each method.
@@ -98,16 +97,15 @@ def table_one(
         methods: names in `methods()`, or MAGNETIC_HEADING.
         convention: one of CONVENTIONS.
         gyroscope_noise: rad/s; the formulas of the paper's text are lost, 5 and 10 mrad/s are both cited.
-        samples: number of samples of each recording, at RATE.
         running: execution of the study.
     """
     motions = list(PUBLISHED["raw"])
     chosen = [
         TableOneCase(convention, motion, gyroscope_noise, seed) for seed in range(runs) for motion in motions
     ]
-    work = partial(worked, methods=("raw", *methods), samples=samples)
+    work = partial(worked, methods=("raw", *methods))
     rows = study_rows(f"table-one-{convention}", work, chosen, running)
-    judges = _judges(samples, gyroscope_noise)
+    judges = _judges(gyroscope_noise)
     return [
         _cell([row for row in rows if (row["method"], row["motion"]) == (name, motion)], judges)
         for name in ("raw", *methods)
@@ -115,13 +113,13 @@ def table_one(
     ]
 
 
-def worked(unit: TableOneCase, methods: Sequence[str], samples: int) -> Row:
+def worked(unit: TableOneCase, methods: Sequence[str]) -> Row:
     """Run all methods on one recording."""
     noise = unit.gyroscope_noise
-    simulation = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=noise)
+    simulation = simulate(unit.motion, SAMPLES / RATE, RATE, unit.seed, gyroscope_noise=noise)
     if unit.convention == "authors":
         simulation = _as_authors(simulation, unit.seed, noise)
-    judges = _judges(samples, noise)
+    judges = _judges(noise)
     names = ("method", "heading", "spread", "systematic", "soft_iron", "hard_iron")
     columns: dict[str, list[object]] = {name: [] for name in names}
     for name in methods:
@@ -184,12 +182,12 @@ def _with_angles_off(recording: Recording, factor: float) -> Recording:
 
 
 @lru_cache(maxsize=2)
-def _judges(samples: int, gyroscope_noise: float) -> tuple[Simulation, Simulation]:
+def _judges(gyroscope_noise: float) -> tuple[Simulation, Simulation]:
     """Return the wide recording on which results are judged, with and without noise."""
     common: dict[str, Any] = {"seed": _JUDGE, "gyroscope_noise": gyroscope_noise}
     return (
-        simulate("wide", samples / RATE, RATE, **common),
-        simulate("wide", samples / RATE, RATE, **common, magnetometer_noise=0.0),
+        simulate("wide", SAMPLES / RATE, RATE, **common),
+        simulate("wide", SAMPLES / RATE, RATE, **common, magnetometer_noise=0.0),
     )
 
 
