@@ -6,53 +6,24 @@ Equation numbers are those of section 5 of the review (Papafotis, Nikitas, Sotir
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import cast
 
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     Ellipsoid,
-    calibrate_by,
     check_positive,
+    iterative,
 )
-from magyc_gtsam.recording import Array, Recording
-
-
-def calibrate_dorveaux(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    tolerance: float = 1e-9,
-    max_iterations: int = 2000,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate by iterated linear least squares that maps the samples onto the unit sphere.
-
-    Args:
-        recording: with magnetometer.
-        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: on J_stop (29), the size of the last step.
-        max_iterations: largest number of steps.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: samples that no ellipsoid explains.
-    """
-    return calibrate_by(
-        dorveaux,
-        recording,
-        "dorveaux",
-        field_strength,
-        progress,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-    )
+from magyc_gtsam.recording import Array
 
 
 def dorveaux(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 2000) -> Ellipsoid:
-    """Fit the ellipsoid to samples (n, 3) without units."""
+    """Fit the ellipsoid to samples (n, 3) without units.
+
+    Iterated linear least squares map the samples onto the unit sphere, until J_stop (29), the size of the last step, is
+    at most `tolerance`.
+    """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     m = y  # (24)
     A_total, B_total = np.eye(3), np.zeros(3)
@@ -76,3 +47,6 @@ def dorveaux(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 2000) -
         f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
         diagnostics={"iterations": iterations, "last_step": j_stop},
     )
+
+
+calibrate_dorveaux = iterative("dorveaux", dorveaux)

@@ -6,54 +6,24 @@ Equation numbers are those of section 9 of the review (Papafotis, Nikitas, Sotir
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import cast
 
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     Ellipsoid,
-    calibrate_by,
     check_positive,
+    iterative,
 )
-from magyc_gtsam.recording import Array, Recording
-
-
-def calibrate_magical(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    tolerance: float = 1e-9,
-    max_iterations: int = 5000,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate with MAG.I.C.AL.
-
-    Args:
-        recording: with magnetometer.
-        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: on the change of T and h between iterations. The paper stops at a small cost (65), but with noise
-            the cost stays above any threshold that indicates convergence.
-        max_iterations: largest number of iterations.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: samples that no ellipsoid explains.
-    """
-    return calibrate_by(
-        magical,
-        recording,
-        "magical",
-        field_strength,
-        progress,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-    )
+from magyc_gtsam.recording import Array
 
 
 def magical(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 5000) -> Ellipsoid:
-    """Fit the ellipsoid to samples (n, 3) without units."""
+    """Fit the ellipsoid to samples (n, 3) without units.
+
+    It ends when T and h change by at most `tolerance` in an iteration. The paper stops at a small cost (65), but with
+    noise the cost stays above any threshold that indicates convergence.
+    """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     Y = y.T
     m = _unit(Y)  # (59)
@@ -76,6 +46,9 @@ def magical(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 5000) ->
         f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
         diagnostics={"iterations": iterations, "cost": cost},
     )
+
+
+calibrate_magical = iterative("magical", magical)
 
 
 def _unit(columns: Array) -> Array:

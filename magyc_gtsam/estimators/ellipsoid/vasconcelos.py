@@ -7,61 +7,28 @@ Equation numbers are those of section 6 and appendix A.1 of the review (Papafoti
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     REMEDY,
     Ellipsoid,
-    calibrate_by,
     check_positive,
+    iterative,
 )
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 
 _FREE = 1e-8  # curvature relative to the largest below which a direction is a free rotation of T̂
 _ROUNDING = 1e-12
 
 
-def calibrate_vasconcelos(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    tolerance: float = 1e-10,
-    max_iterations: int = 100,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate by Newton's method on the likelihood (33), from the algebraic ellipsoid.
-
-    Args:
-        recording: with magnetometer.
-        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: on the length of the last Newton step.
-        max_iterations: largest number of steps.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: samples that no ellipsoid explains.
-    """
-    return calibrate_by(
-        vasconcelos,
-        recording,
-        "vasconcelos",
-        field_strength,
-        progress,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-    )
-
-
 def vasconcelos(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 100) -> Ellipsoid:
     """Fit the ellipsoid to samples (n, 3) without units.
 
-    All σ_k are equal, so they cancel. Newton's step (35) is restricted to the directions that (33) depends on (it is
-    invariant to the three rotations of T̂), uses the absolute eigenvalues of the Hessian, and is halved until the cost
-    falls.
+    Newton's method on the likelihood (33) from the algebraic ellipsoid, until the last step is at most `tolerance`
+    long. All σ_k are equal, so they cancel. Newton's step (35) is restricted to the directions that (33) depends on (it
+    is invariant to the three rotations of T̂), uses the absolute eigenvalues of the Hessian, and is halved until the
+    cost falls.
     """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     T_hat, h = initial_estimate(y)
@@ -87,6 +54,9 @@ def vasconcelos(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 100
         f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
         diagnostics={"iterations": iterations, "cost": cost(x, y)},
     )
+
+
+calibrate_vasconcelos = iterative("vasconcelos", vasconcelos)
 
 
 def initial_estimate(y: Array) -> tuple[Array, Array]:

@@ -8,63 +8,30 @@ eliminated one by one and the cost of an iteration is linear in the number of sa
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     REMEDY,
     Ellipsoid,
-    calibrate_by,
     check_positive,
+    iterative,
 )
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 
 _UPPER = np.array([0, 3, 4, 6, 7, 8])  # indices of the upper triangle in vec(T), column by column
 _ROUNDING = 1e-12
 _BLOCK = 20_000  # samples whose blocks of the Hessian are held in memory at once
 
 
-def calibrate_wu_shi(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    tolerance: float = 1e-10,
-    max_iterations: int = 50,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate by Newton's method on the Lagrangian (52), from the algebraic ellipsoid.
-
-    Args:
-        recording: with magnetometer.
-        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: on the length of the last step in T and h.
-        max_iterations: largest number of steps.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: samples that no ellipsoid explains.
-    """
-    return calibrate_by(
-        wu_shi,
-        recording,
-        "wu-shi",
-        field_strength,
-        progress,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-    )
-
-
 def wu_shi(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 50) -> Ellipsoid:
     """Fit the ellipsoid to samples (n, 3) without units.
 
-    After each step (54) in T and h, the directions and multipliers are set to their optimum for the new T and h,
-    whereas the review takes their linearised steps; the step is halved until the cost falls. Newton's method alone
-    converges only from a start close to the minimum.
+    Newton's method on the Lagrangian (52) from the algebraic ellipsoid, until the last step in T and h is at most
+    `tolerance` long. After each step (54) in T and h, the directions and multipliers are set to their optimum for the
+    new T and h, whereas the review takes their linearised steps; the step is halved until the cost falls. Newton's
+    method alone converges only from a start close to the minimum.
     """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     T, h = initial_estimate(y)
@@ -88,6 +55,9 @@ def wu_shi(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 50) -> E
         radial=False,
         diagnostics={"iterations": iterations, "cost": cost},
     )
+
+
+calibrate_wu_shi = iterative("wu-shi", wu_shi)
 
 
 def _eliminated(y: Array, T: Array, h: Array) -> tuple[Array, Array, float]:
