@@ -10,10 +10,10 @@ from typing import cast
 
 import numpy as np
 
+from magyc_gtsam.estimators.ellipsoid.iterative import iterative
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     Ellipsoid,
     check_positive,
-    iterative,
 )
 from magyc_gtsam.recording import Array
 

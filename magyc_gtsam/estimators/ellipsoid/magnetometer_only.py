@@ -11,8 +11,7 @@ which no magnetometer can observe, and adds the scale, the covariance and the as
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -128,47 +127,6 @@ def symmetric_root(matrix: Array) -> Array:
     left, stretch, _ = np.linalg.svd(matrix)
     root: Array = (left * stretch) @ left.T
     return root
-
-
-def iterative(method: str, fit: Callable[..., Ellipsoid]) -> Callable[..., Calibration]:
-    """Return the entry point of a method that iterates over all samples at once.
-
-    Args:
-        method: name in the registry.
-        fit: samples (n, 3) without units, and the keywords `tolerance` and `max_iterations` with defaults → ellipsoid.
-    """
-    defaults = inspect.signature(fit).parameters
-
-    def calibrate(
-        recording: Recording,
-        *,
-        field_strength: float | None = None,
-        tolerance: float = defaults["tolerance"].default,
-        max_iterations: int = defaults["max_iterations"].default,
-        progress: Callable[[float], None] | None = None,
-    ) -> Calibration:
-        """Calibrate the magnetometer by an iterated ellipsoid fit.
-
-        Args:
-            recording: with a magnetometer.
-            field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-            tolerance, max_iterations: of the fit.
-            progress: called with the share done, 0 to 1.
-
-        Raises:
-            MagycError: samples that no ellipsoid explains.
-        """
-        options = {"tolerance": tolerance, "max_iterations": max_iterations}
-        samples = normalised_field(recording)
-        with fitting(method):
-            ellipsoid = fit(samples.value, **options)
-        if progress:
-            progress(1.0)
-        return to_calibration(
-            recording, samples, ellipsoid, method=method, field_strength=field_strength, configuration=options
-        )
-
-    return calibrate
 
 
 def to_calibration(

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.closest_point import closest_points
+from magyc_gtsam.estimators.ellipsoid.iterative import iterative
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     REMEDY,
     Ellipsoid,
     check_positive,
-    iterative,
 )
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
