@@ -119,7 +119,7 @@ def disturbed():
     return recording, clean, np.linalg.norm(plain - clean)
 
 
-@pytest.mark.parametrize("kernel", ["huber", "cauchy", "geman-mcclure", "l1"])
+@pytest.mark.parametrize("kernel", ["huber", "geman-mcclure"])  # the shapes of all are in `test_factors_robust`
 def test_robust_kernels_hold_against_disturbed_windows(disturbed, kernel):
     """The kernel counts in residual_sigma, which must be the data's: 10 mG twice over 0.9 s."""
     recording, clean, off = disturbed
