@@ -51,20 +51,17 @@ def test_two_causes_are_not_one_drift() -> None:
         "hard-iron-drift",
         "local-anomaly",
     ]
-    named = []
-    for seed in range(70, 72):
-        recording = mg.simulate("wide", 200, seed=seed, channels=["temperature"]).recording
-        time = recording.time
-        warmth, jump = 4 * (1 - np.exp(-time / 80)), np.array([-1.2, 1.6, 0.2])
-        extra = warmth[:, None] * np.array([0.3e-6, 0.2e-6, -0.24e-6]) + np.outer(time > 130, jump * 1e-6)
-        field = recording.magnetic_field + extra
-        warmed = replace(recording, magnetic_field=field, channels={"temperature": 15 + warmth})
-        gap = mg.find_gap(warmed, candidates=candidates)
-        named.append(set(gap.names))
-        for step in gap.effects:
-            if step.name == "hard-iron-step":
-                assert np.linalg.norm(step.value - jump) < 4 * np.linalg.norm(step.sigma)
-    assert named == [{"temperature-hard-iron", "hard-iron-step"}] * 2
+    recording = mg.simulate("wide", 200, seed=70, channels=["temperature"]).recording
+    time = recording.time
+    warmth, jump = 4 * (1 - np.exp(-time / 80)), np.array([-1.2, 1.6, 0.2])
+    extra = warmth[:, None] * np.array([0.3e-6, 0.2e-6, -0.24e-6]) + np.outer(time > 130, jump * 1e-6)
+    field = recording.magnetic_field + extra
+    warmed = replace(recording, magnetic_field=field, channels={"temperature": 15 + warmth})
+    gap = mg.find_gap(warmed, candidates=candidates)
+    assert set(gap.names) == {"temperature-hard-iron", "hard-iron-step"}
+    for step in gap.effects:
+        if step.name == "hard-iron-step":
+            assert np.linalg.norm(step.value - jump) < 4 * np.linalg.norm(step.sigma)
 
 
 def test_a_weak_name_beside_a_strong_rival_explains_a_fifth_of_it() -> None:

@@ -16,7 +16,7 @@ from magyc_gtsam.history.coordinates import shape_of, shape_slope, soft_iron_of,
 from magyc_gtsam.history.log_factor import LogFactor, compress
 from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
 
-SEASONS = 10
+SEASONS = 7
 
 
 @pytest.fixture(scope="module")
