@@ -76,7 +76,7 @@ def test_a_share_is_kept_for_what_no_set_holds() -> None:
     """However much the data say for one of them; what is decided from a limit on can still be attained."""
     stated = marginals(normalised({((), True): 0.0, ((), False): 1000.0}))
     assert stated == pytest.approx({NOTHING: 1 - PRIOR.unforeseen, UNKNOWN: PRIOR.unforeseen})
-    assert PRIOR.sure < 1 - PRIOR.unforeseen
+    assert PRIOR.named_from < 1 - PRIOR.unforeseen
     assert PRIOR.unforeseen < PRIOR.improbable
 
 

@@ -186,19 +186,17 @@ def test_little_noise_is_enough() -> None:
     assert mg.find_gap(quiet).verdict == "none"
 
 
-def test_a_small_misalignment_needs_more_than_significance() -> None:
-    """0.3° shine through in everything weak: good sensors name it, others say that it may be there."""
+def test_a_small_misalignment_is_as_probable_as_the_sensors_show() -> None:
+    """0.3° of good sensors is certain, of others probable."""
     hidden = [("misalignment", 0.12)]
     candidates = ["misalignment", "timing", "eddy-plane", "gyro-scale", "cubic", "hard-iron-drift"]
     plain = mg.find_gap(mg.simulate("wide", seed=2, effects=hidden).recording, candidates=candidates)
-    assert plain.verdict == "none"
-    assert "axes” is too weak" in plain.sentence
-    assert {h.name: h.status for h in plain.hypotheses}["misalignment"] == "slight"
-    assert {h.status for h in plain.hypotheses if h.significant} <= {"slight", "explained", "vetoed"}
+    assert plain.names == ("misalignment",)
     better = {"magnetometer_noise": 1e-7, "gyroscope_noise": 5e-4}
     fine = mg.simulate("wide", 120, seed=2, effects=hidden, **better).recording  # type: ignore[arg-type]
     good = mg.find_gap(fine, candidates=candidates)
     assert good.names == ("misalignment",)
+    assert good.effects[0].probability > 0.95 > plain.effects[0].probability
 
 
 def test_a_core_is_not_guessed_beyond_what_was_read() -> None:
@@ -206,7 +204,6 @@ def test_a_core_is_not_guessed_beyond_what_was_read() -> None:
     recording = mg.simulate("wide", 150, seed=23, effects=["saturation"]).recording
     gap = mg.find_gap(recording, candidates=BENDS)
     assert gap.names == ("saturation",)
-    assert 0.3 < gap.effects[0].value[0] < 0.7
     strength = np.linalg.norm(gap.calibration.apply(recording), axis=1)
     assert np.abs(strength / np.median(strength) - 1).max() < 0.2
 
@@ -218,7 +215,6 @@ def test_a_reading_that_bends_evenly_is_a_cubic() -> None:
     bent = replace(recording, magnetic_field=field - 2.5e-6 * (field / 50e-6) ** 3)
     gap = mg.find_gap(bent, candidates=BENDS)
     assert gap.names == ("cubic",)
-    assert "saturation" in gap.effects[0].ambiguous_with
 
 
 def test_what_only_looks_like_a_loop_is_missing_all_the_same() -> None:

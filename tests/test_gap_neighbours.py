@@ -15,9 +15,9 @@ from magyc_gtsam.gap.samples.noise_effects import coloured_noise, tone
 from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.gap.scores.isolability import isolability
+from magyc_gtsam.gap.scores.look import NOISE_LIMIT
 from magyc_gtsam.gap.scores.neighbours import neighbours, product_of
 from magyc_gtsam.gap.scores.null import TAIL, largest_surprises, surprises, tail
-from magyc_gtsam.gap.search.naming import NOISE_LIMIT
 from magyc_gtsam.simulation.environment import CHANNELS
 
 

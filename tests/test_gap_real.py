@@ -75,12 +75,12 @@ def test_a_magnetometer_that_holds_two_rows_is_held(shared_data: Path) -> None:
 def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:
     """Attached by hand and taken off again; its field is (−6, −1, 58) µT."""
     recording = mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(28, 105)
-    gap = mg.find_gap(recording, candidates=["hard-iron-step", "local-anomaly"])
-    on, off = sorted((e for e in gap.effects if e.name == "hard-iron-step"), key=lambda e: e.setting["time"])
-    assert on.setting["time"] == pytest.approx(38, abs=1)
-    assert off.setting["time"] == pytest.approx(95, abs=1)
-    np.testing.assert_allclose(on.value, [-6, -1, 58], atol=4)
-    np.testing.assert_allclose(off.value, [6, 1, -58], atol=4)
+    gap = mg.find_gap(recording, candidates=["hard-iron-step", "hard-iron-drift", "local-anomaly", "timing"])
+    steps = [e for e in gap.effects if e.name == "hard-iron-step"]
+    for time, value in ((38.0, np.array([-6, -1, 58])), (95.0, np.array([6, 1, -58]))):
+        near = [e for e in steps if abs(e.setting["time"] - time) < 1.5]  # the hand takes a second
+        assert near
+        np.testing.assert_allclose(np.sum([e.value for e in near], axis=0), value, atol=5)
 
 
 def test_the_first_model_beside_a_magnet_does_not_hang_on_rounding(shared_data: Path) -> None:

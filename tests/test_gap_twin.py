@@ -23,7 +23,6 @@ from magyc_gtsam.gap.samples.noise_effects import coloured_noise, quantisation, 
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.gap.scores.null import memory
 from magyc_gtsam.gap.scores.score import held_out_gain, interleaved
-from magyc_gtsam.gap.search.search import look
 
 
 @pytest.fixture(scope="module")
@@ -226,20 +225,6 @@ def test_held_out_data_veto_what_is_noise() -> None:
     block = interleaved(np.arange(300.0), 10.0)
     assert held_out_gain(base, noise, residual, block) < 0
     assert held_out_gain(base, real, residual, block) > 10
-
-
-@pytest.mark.parametrize("time", [97.0, 104.0, 30.5])
-def test_what_only_one_half_holds_of_the_model_changes_no_gain_of_others(time: float) -> None:
-    """What is passed within one block: the other half knows nothing of it, and has as much of a delay as before."""
-    recording = mg.simulate("wide", 200, seed=1, effects=["timing"]).recording
-    short_term = short_term_noise(recording)
-    base = base_model(recording, None, short_term)
-    bump = Active("local-anomaly", {"time": time, "width": 1.0, "passing": 1.0}, np.zeros(6))
-    beside = refit(base.twin.problem, with_term(base.model, bump), short_term)
-    before, after = (look(recording, m, ("timing",), np.random.default_rng(0)).gains for m in (base, beside))
-    assert before["timing"] > 20
-    for name in ("timing", "lag"):
-        assert after[name] == pytest.approx(before[name], abs=3.0)
 
 
 def test_noise_effects_are_found_and_told_apart() -> None:

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 import magyc_gtsam as mg
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.samples.wrong_samples import spikes
-from magyc_gtsam.gap.search.naming import NOISE_LIMIT
+from magyc_gtsam.gap.scores.look import NOISE_LIMIT
 
 _SAMPLES = 4000
 

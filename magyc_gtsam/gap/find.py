@@ -7,18 +7,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import overload
 
+import numpy as np
+
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
-from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.evidence.answer import answer
-from magyc_gtsam.gap.evidence.decision import marginals
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.refit import Refit, widened
+from magyc_gtsam.gap.naming.named import Named, named
+from magyc_gtsam.gap.naming.one_jump import with_one_jump
+from magyc_gtsam.gap.naming.step_samples import without_samples_of_steps
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
@@ -28,11 +32,7 @@ from magyc_gtsam.gap.preparation.noiseless import noiseless
 from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.tones import silenced
-from magyc_gtsam.gap.search.adopted import adopted
-from magyc_gtsam.gap.search.one_jump import with_one_jump
-from magyc_gtsam.gap.search.search import Search, search
-from magyc_gtsam.gap.search.step_samples import without_samples_of_steps
-from magyc_gtsam.gap.search.weighed import weighed
+from magyc_gtsam.gap.scores.look import look
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
@@ -98,7 +98,7 @@ def find_gap(
     report = progress or (lambda _: None)
     report(0.0)
     share = 1.0 if simulated is None else 0.5
-    gap, result = _gap_and_search(recording, calibration, names, lambda done: report(share * done))
+    gap, result = _gap_and_named(recording, calibration, names, lambda done: report(share * done))
     if simulated is not None and result is not None:
         ours = _side(recording, names, "", lambda done: None) if calibration is not None else _side_of(gap, result)
         theirs = _side(simulated, names, "simulated: ", lambda done: report(0.5 + 0.5 * done))
@@ -114,7 +114,7 @@ def _side(recording: Recording, names: tuple[str, ...], what: str, report: Calla
         MagycError: an error of the recording; its message begins with `what`.
     """
     try:
-        gap, result = _gap_and_search(recording, None, names, report)
+        gap, result = _gap_and_named(recording, None, names, report)
     except MagycError as problem:
         raise MagycError(f"{what}{problem}") from None
     if result is None:
@@ -122,14 +122,15 @@ def _side(recording: Recording, names: tuple[str, ...], what: str, report: Calla
     return _side_of(gap, result)
 
 
-def _side_of(gap: Gap, result: Search) -> Side:
-    return Side(gap, replace(result.last, refit=widened(result.last.refit)))
+def _side_of(gap: Gap, result: Named) -> Side:
+    tested, fitted = result.first.tested, widened(result.fitted)
+    return Side(gap, look(result.recording, fitted, tested, np.random.default_rng(0)))
 
 
-def _gap_and_search(
+def _gap_and_named(
     recording: Recording, calibration: Calibration | None, names: tuple[str, ...], report: Callable[[float], None]
-) -> tuple[Gap, Search | None]:
-    """Return the gap of one recording, and its search; None if there is not enough information for a search."""
+) -> tuple[Gap, Named | None]:
+    """Return the gap of one recording, and what is named; None if there is not enough information to name anything."""
     started = clock.perf_counter()
     needs_gyroscope(recording)
     usable = without_faults(recording, ("magnetic_field", "angular_rate"))
@@ -154,16 +155,14 @@ def _gap_and_search(
         gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
         gap = with_clipped(gap, usable.clipped)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
-    result = search(recording, base, short_term, names, report)
-    report(0.7)
-    said = answer(recording, base, short_term, names, discrete, result.first.fine)
-    result = with_one_jump(adopted(result, said, short_term), short_term)
-    result, said = without_samples_of_steps(recording, result, said)
-    stated, result = marginals(said.posterior), weighed(result, said, short_term)
-    report(0.9)
+    first = look(recording, base, tuple(name for name in names if name in TERMS), np.random.default_rng(0))
+    report(0.3)
+    said = answer(recording, base, short_term, names, discrete, first.fine)
+    report(0.8)
+    result = with_one_jump(named(said, first, base, short_term), short_term)
+    result = without_samples_of_steps(recording, result)
     gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
-    effects = tuple(replace(effect, probability=stated.get(effect.name, 0.0)) for effect in gap.effects)
-    gap = with_clipped(replace(gap, effects=effects, probabilities=stated), usable.clipped)
+    gap = with_clipped(gap, usable.clipped)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
 
 

@@ -14,7 +14,7 @@ from magyc_gtsam.recording import Array
 
 Verdict = Literal["none", "closed", "unknown", "open", "not enough information"]
 Status = Literal[
-    "named", "ambiguous", "vetoed", "slight", "explained", "significant", "rejected", "not enough information"
+    "named", "ambiguous", "possible", "explained", "significant", "rejected", "not enough information"
 ]
 
 
@@ -43,12 +43,12 @@ class Effect:
         unit: unit of the values: "ms", "µT", "µT/A", "mrad", ….
         setting: parameters found by a grid search: {"time": 41.5} s, {"frequency": 2.1} Hz, …; empty for most effects.
         ambiguous_with: names of rival effects that this motion cannot distinguish from it.
-        statistic, threshold: evidence when the effect was added: twice the gain in log-likelihood, and its 1 % level.
+        statistic, threshold: Wald statistic of the values beside the other effects, and the family-wise 1 % level of
+            the effect's score test.
         applied: whether `gap.calibration` corrects the effect.
         sentence: one line for a navigator.
         probability: posterior probability that the effect is present, from the evidence of all sets of effects. It is
-            at most 0.985, because the true cause may be outside all sets. Score tests give the name; it is not
-            given if the effect and its rivals together are improbable.
+            at most 0.985, because the true cause may be outside all sets.
     """
 
     name: str
@@ -92,12 +92,11 @@ class Hypothesis:
         setting: the best grid point.
         power: probability of finding the smallest effect that matters.
         matters: the smallest effect that matters, in `unit`.
-        held_out_gain: gain in log-likelihood (nats) on data it was not fitted to; NaN if it was not computed.
-        status: "named", "ambiguous" (a rival of a named effect), "vetoed" (no held-out gain, or a circular-shift test
-            shows that its channel explains as much at other times), "slight" (significant, but too small to be named),
-            "explained" (no longer significant once the named or slight effects are in the model), "significant" (but
-            nothing was named), "rejected" (not significant, although it would have been found), "not enough
-            information" (it would not have been found).
+        probability: posterior probability that the effect is present; NaN of a generic family.
+        status: "named", "ambiguous" (a rival of a named effect), "possible" (a probability of 5 % or more, too little
+            to be named), "explained" (significant, but improbable beside what was named), "significant" (but nothing
+            was named), "rejected" (not significant, although it would have been found), "not enough information" (it
+            would not have been found).
         sentence: the status in words.
     """
 
@@ -114,7 +113,7 @@ class Hypothesis:
     setting: Mapping[str, float]
     power: float
     matters: float
-    held_out_gain: float
+    probability: float
     status: Status
     sentence: str
 

@@ -16,20 +16,14 @@ class Rules:
     """
 
     # What is named and corrected.
-    ahead: float = 9.0  # nats of evidence by which an effect must lead; a closer one is a rival
-    alike: float = 0.01  # probability by chance below which a named effect explains more than its rival
+    ahead: float = 9.0  # nats by which an effect must lead other changes, if a channel is missing
     # share of the entries in which single axes repeat, above which the steps are coarse
     alone_axis: float = 0.1
     as_good: float = 0.09  # share of the circular shifts that may explain as much
-    # nats, and share, by which a generic family must lead all names together; less is due to their approximate form
-    beats: tuple[float, float] = (3.0, 0.05)
-    beside_colour: float = 1.4  # times its threshold, that a named effect must pass beside coloured noise
     blocks: int = 8  # of the held-out test, at least, so that each half contains some of every manoeuvre
     by_chance: float = 0.5  # position between the variances of run lengths by a clock (0) and by chance (1)
     # nats that two fitted parameters of a noise model may gain by chance (with a margin)
     chance: float = 9.0
-    changes: int = 2  # changes with time in one recording, at most
-    clearly: float = 1.0  # nats by which a named effect must lead each neighbour
     coarse: float = 0.7  # step in sigmas above which quantisation is an effect
     coloured: float = 3.0  # standard deviations above which an autocorrelation is significant
     contradicted: float = 4.0  # sigmas above which the data contradict a parameter of a given calibration
@@ -38,41 +32,24 @@ class Rules:
     determined_by_data: float = 0.75
     # probability of any name by chance, all candidates together, in a recording without an effect
     family_wise: float = 0.01
+    farthest: float = 3.0  # prior standard deviations beyond which a value is not possible
     field_differs: float = 0.02  # of the field: a degree of heading
     field_varies: float = 5.0  # nats: twice the largest value of clean recordings (2.3)
-    firm: float = 0.7  # share of a term's statistic that must remain beside the other missing effects
     held_rows: float = 0.08  # share of rows that exactly repeat the one before
     late: float = 0.01  # rad of rotation
-    left: float = 0.2  # share of an effect's statistic that it or a rival may gain again after it
-    little: float = 0.3  # share of a term's signature that a family which contains it may lack
     longest_colour: float = 4.0  # s, correlation time above which colour is a drift of unknown cause
     lowest_bins: int = 5  # of the periodogram, too slow for a tone: they are drifts
-    most_of: float = 0.7  # share of a wider family's statistic above which the simple delay is preferred
-    most_terms: int = 5  # effects in one recording, at which a search ends
-    many: int = 9  # values of a family; with more, half of the data hardly predict the other half
-    mostly: float = 0.6  # share that a term must explain of what it and the families that contain it explain
     moved: float = 2.0  # sigmas above which a parameter is reported as moved
     much: float = 60.0  # statistic above which an effect is removed before the colour is estimated
     one_way: float = 0.75  # share of the colour along one axis above which it is not noise
     rare: float = 0.05  # share of wrong samples; a larger one is another distribution of the noise
     # share of the repeated entries that chance must not explain: axes that pause together are not held
     repeats_left: float = 0.7
-    same: float = 0.99  # squared cosine between two explained parts above which they are the same
-    # share of the explained statistic that may remain, because effects do not quite have the catalogue's form
-    shape: float = 0.08
-    shared: float = 0.0001  # share of a signature that must remain beside a rival's for a test
-    slow: float = 1.0  # Hz, up to which windows of a second still contain a tone
     span: float = 2.5  # widths within which a second bump belongs to the first
     spike: float = 4.5  # sigmas, exceeded by one normal vector in six thousand
     spikes_alone: float = 0.46  # share of the spikes, adjacent ones counted as one, that have no neighbour
-    strong: float = 5.0  # times its threshold, that a term must pass if another effect is missing too
-    # nats, and share of the evidence, by which an equal alternative may be behind the strongest
-    tie: tuple[float, float] = (3.0, 0.05)
     too_slow: float = 0.7  # share that a shifted channel may still explain; with more the shift is too short
-    trace: float = 0.03  # share of an effect's statistic below which another may be its deviation from the form
-    tried: int = 3  # equal alternatives, at most
     unsure_line: float = 2.0  # nats added to the level of a line, because the floor below it is estimated
-    weak: float = 50.0  # nats, up to which a small effect may be caused by another one
     worth_moving: float = 0.5  # root mean square change of the iron, in sigmas, above which it is changed
 
     # Which rows and channels are used, before the estimation.
@@ -119,13 +96,10 @@ class Rules:
 
     # Effects and families.
     block: float = 10.0  # s, of a held-out block at most
-    worth_a_look: float = 3.0  # nats above which the held-out gain of a candidate is computed
-    close_rival: float = 0.5  # share of the evidence by which a rival of another shape may be behind
     knots_apart: float = 4.0  # s between knots of a spline in time, at least
     determined_rate: float = 0.016  # sigma to which the motion must determine a scale or an angle of a family
     one_vector: int = 3  # values; more are determined unequally by a motion, and need a prior from the data
     unlike_delay: float = 0.7  # times a delay, by which plates differ from it: one plate by 2.4, one per axis by 0
-    next_order: float = 0.03  # share by which the next order of a delay or a plate, in the speed, may lead
     far_from_zero: float = 30.0  # deviations above which a channel's 0 need not be the point without current
     clipped_loss: float = (
         0.12  # share lost beyond a level by clipping; a smaller loss is a slight bend, a gain is neither

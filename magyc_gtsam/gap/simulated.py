@@ -1,7 +1,8 @@
 """Comparison of the user's simulator with the data: the assumptions of the simulator that the data reject.
 
-Both recordings are searched in the same way. An assumption is rejected if an effect is found in one recording only, or
-if a value differs by more than its uncertainty in both. The motions may differ, because the twin accounts for each.
+Effects are named in both recordings in the same way. An assumption is rejected if an effect is found in one recording
+only, or if a value differs by more than its uncertainty in both. The motions may differ, because the twin accounts for
+each.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.result import Assumption, Effect, Gap
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.search.naming import Look
+from magyc_gtsam.gap.scores.look import Look
 
 _Row = tuple[str, float, float, float, str]
 _AXES = ("x", "y", "z")
 
 
 class Side(NamedTuple):
-    """The result of a search on one of the two recordings: the gap, and the last look at its model."""
+    """The result for one of the two recordings: the gap, and the score tests of the model with its effects."""
 
     gap: Gap
     last: Look

@@ -13,7 +13,8 @@ from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolabil
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
-HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
+_SHOWN = 0.005  # probability from which it is shown
+HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "probability", "expected")
 _LEAST_PROBABILITY, _MOST_PROBABILITIES = 0.01, 6  # smallest probability in a sentence, and number of them
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "change (σ)")
@@ -101,7 +102,7 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
             "rejected: of another form" if h.status == "rejected" and h.statistic > h.threshold else h.status,
             f"{h.statistic:.1f}",
             f"{h.threshold:.1f}",
-            f"{h.held_out_gain:+.1f}" if h.significant and np.isfinite(h.held_out_gain) else "",
+            f"{h.probability:.0%}" if h.probability >= _SHOWN else "",
             _expected(h),
             *([h.sentence] if explained else []),
         ]

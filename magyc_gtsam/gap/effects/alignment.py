@@ -82,13 +82,11 @@ MISALIGNMENT = EffectTerm(
     unit="mrad",
     scale=1e3,
     matters=5e-3,
-    least=np.radians(0.5),
     prior=1.0,
     rivals=("gyro-scale", "cubic"),
     parameters=AXES,
     say=_say_misalignment,
     motion="turn about all three axes: pitch and roll by 45° or more",
-    alike=("field:quadratic",),
 )
 TIMING = EffectTerm(
     name="timing",
@@ -102,7 +100,6 @@ TIMING = EffectTerm(
     say=_say_timing,
     motion="turn fast one way and the other, about more than one axis",
     products=("speed", "speed²"),
-    loose=RULES.next_order,
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
@@ -119,5 +116,4 @@ EDDY_PLANE = EffectTerm(
     possible=_holds_back,
     refined=_plates_nearby,
     products=("speed", "speed²"),
-    loose=RULES.next_order,
 )

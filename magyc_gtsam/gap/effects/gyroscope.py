@@ -96,7 +96,6 @@ G_SENSITIVITY = EffectTerm(
     unit="mrad/s/g",
     scale=1e3,
     matters=5e-3,
-    least=1e-3,
     prior=1.0,
     rivals=("timing", "gyro-scale"),
     parameters=tuple(f"{a}{b}" for b in AXES for a in AXES),

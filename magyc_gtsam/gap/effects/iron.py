@@ -136,7 +136,6 @@ TEMPERATURE = EffectTerm(
     motion="let the temperature rise and fall during the recording, so that it does not merely follow time",
     settings=lagged,
     refined=lagged_nearby,
-    slowest=_LAGS[-1],
     products=("reading", "gain", "field"),
 )
 STEP = EffectTerm(
@@ -152,7 +151,7 @@ STEP = EffectTerm(
     motion="turn a full circle before and after the moment in question, at the same place",
     settings=_step_times,
     refined=_step_nearby,
-    most=2,
+    most=4,
     products=("reading", "gain", "field"),
 )
 DRIFT = EffectTerm(

@@ -121,5 +121,4 @@ HYSTERESIS = EffectTerm(
     settings=_loops,
     refined=_loops_nearby,
     possible=lambda twin, value, setting: setting["width"] < RULES.no_loop * _widest(twin),
-    rough=True,
 )

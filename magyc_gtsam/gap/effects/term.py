@@ -38,8 +38,6 @@ class EffectTerm:
         unit, scale: shown value = SI value · scale, in `unit`.
         matters: the smallest value that matters, SI. For a value per unit of a channel, the effect of a change of the
             channel by its standard deviation in the recording.
-        least: norm of the values, in the unit of `matters`, below which a weak effect is not named. A motion can show
-            effects far below `matters`; at such sizes every other weak effect resembles them in part.
         prior: prior standard deviation of the value, in the unit of `matters`.
         rivals: names with which it is known to be confused.
         parameters: name of each value; repeated for several rows of a channel.
@@ -52,13 +50,7 @@ class EffectTerm:
         possible: function that returns whether the effect can have fitted values (SI) at a setting; if not, the cause
             is another effect.
         many_shapes: True if its values have many shapes; only those that the motion determines are tried.
-        alike: generic families of which a narrow part may resemble it; it must explain clearly more than these.
         products: signals whose product with it is a neighbour to be distinguished from it; see `gap.neighbours`.
-        loose: share of its own gain (nats) by which a neighbour may lead, because its form is a first-order one.
-        slowest: s, the longest of its lags behind its channel; a drift with a time constant below twice this may be
-            this effect.
-        rough: True if its form is one of many that it can take, so that a residual is expected once it is in the model.
-        between: share of its evidence by which a setting between grid points may exceed the best grid point.
     """
 
     name: str
@@ -75,15 +67,9 @@ class EffectTerm:
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: RULES.block
     most: int = 1
-    least: float = 0.0
     possible: Callable[[Twin, Array, Setting], bool] = lambda twin, value, setting: True
     many_shapes: bool = False
-    alike: tuple[str, ...] = ()
     products: tuple[str, ...] = ()
-    loose: float = 0.0
-    slowest: float = 0.0
-    rough: bool = False
-    between: float = 0.0
 
     @property
     def form(self) -> Form:

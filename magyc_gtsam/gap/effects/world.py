@@ -91,5 +91,4 @@ ANOMALY = EffectTerm(
     refined=_bumps_nearby,
     block=lambda setting: float(np.clip(0.5 * setting["width"], 1.0, RULES.block)),
     most=2,
-    between=0.25,
 )

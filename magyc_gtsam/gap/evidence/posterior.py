@@ -105,7 +105,7 @@ def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tu
     for name, power in powers.items():
         of_field = name == FIELD_VARIATION
         rest = [each for each in families if of_field or product_of(each.name) == name]
-        least = PRIOR.form * max(power, node.of_field)
+        least = PRIOR.form * (node.explained if of_field else max(power, node.of_field))
         large = np.concatenate([*(each.by_scale[each.power > least] for each in rest), [-np.inf]])
         imitated = PRIOR.imitated - float(np.log(len(powers)))
         seen = float(logsumexp(large)) - share + (imitated if of_field else PRIOR.unknown)

@@ -54,10 +54,10 @@ class Prior:
         depth, beam: largest number of effects in a set, beside a varying field, and candidates that extend each set.
         nodes, most: largest number of fitted sets, without and with the sets in which rivals were exchanged.
         close: nats below the best set beyond which a set is not extended.
-        sure: probability above which a statement is taken as certain.
-        likely: probability above which an effect that was not found contradicts the result.
-        improbable: probability below which an effect is not named; of 77 right names in 176 recordings none was
-            below.
+        named_from: probability above which an effect is named: a wrong name costs as much as three missing ones.
+        missing_from: probability above which something without a name is said to be present: the calibration is then
+            not trusted.
+        improbable: probability below which an effect is neither a rival nor possible.
         certain: nats for effects that are detected with certainty or not at all.
         whole: probability that a family is present as a whole, not in one of its parts.
         not_quite: log odds that an effect visibly deviates from its form, by less than `form`.
@@ -88,8 +88,8 @@ class Prior:
     most: int = 16
     beam: int = 3
     close: float = 12.0
-    sure: float = 0.9
-    likely: float = 0.5
+    named_from: float = 0.75
+    missing_from: float = 0.9
     improbable: float = 0.05
     certain: float = 12.0
     whole: float = 0.5

@@ -78,13 +78,9 @@ def possible(result: Refit, index: int) -> bool:
     """Return whether the value of the model's term `index` is physically possible for its effect."""
     value, _ = result.value_of(index)
     term = result.model.terms[index]
-    return TERMS[term.name].possible(result.twin, value, term.setting)
-
-
-def small(result: Refit, index: int) -> bool:
-    """Return whether the model's term `index` is so small that significance alone does not suffice to name it."""
-    value, _ = _standardised(result, index)
-    return float(np.linalg.norm(value)) < TERMS[result.model.terms[index].name].least
+    effect = TERMS[term.name]
+    size = float(np.abs(_standardised(result, index)[0]).max())
+    return size < RULES.farthest * effect.prior and effect.possible(result.twin, value, term.setting)
 
 
 def widened(result: Refit) -> Refit:

@@ -1,8 +1,9 @@
-"""The effects that a search found, as values and sigmas in their units, with a sentence."""
+"""The effects that are named, as values and sigmas in their units, with a sentence."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,10 +11,10 @@ from magyc_gtsam.estimators.smoother.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.naming.found import Found, term_places
+from magyc_gtsam.gap.outcome.step_time import step_time_sigma
 from magyc_gtsam.gap.result import Effect
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.search.found import Found, term_places
-from magyc_gtsam.gap.search.step_time import step_time_sigma
 
 FIELD_VARIES = "field of the place that varies"
 IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
@@ -59,25 +60,30 @@ def _noise_sentence(noise: NoiseScore) -> str:
 
 
 def describe(
-    found: Sequence[Found], refitted: Refit, uncorrected: Container[int], unpaid: Container[int] = ()
+    found: Sequence[Found],
+    refitted: Refit,
+    probabilities: Mapping[str, float],
+    uncorrected: Container[int],
+    unpaid: Container[int] = (),
 ) -> tuple[Effect, ...]:
-    """Return the effects that are not improbable as values.
+    """Return the effects as values.
 
     Args:
         found: the effects.
         refitted: the model that contains them.
+        probabilities: of all names.
         uncorrected: places in `found` of effects that are named only.
         unpaid: places of those among them whose correction gains nothing.
     """
     indices = term_places(found, refitted.model)
 
-    def why(place: int, one: Found) -> str:
+    def why(place: int) -> str:
         if place not in uncorrected:
             return ""
-        return _UNPAID if place in unpaid else _UNSURE if one.unsure else _OPEN
+        return _UNPAID if place in unpaid else _UNSURE if found[place].unsure else _OPEN
 
-    named = [(place, one) for place, one in enumerate(found) if not one.improbable]
-    return tuple(_described(one, refitted, indices.get(place), why(place, one)) for place, one in named)
+    effects = (_described(one, refitted, indices.get(place), why(place)) for place, one in enumerate(found))
+    return tuple(replace(effect, probability=probabilities.get(effect.name, 0.0)) for effect in effects)
 
 
 def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Effect:

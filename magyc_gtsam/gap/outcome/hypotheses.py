@@ -1,24 +1,20 @@
-"""All candidates of a search with their evidence and status."""
+"""All candidates with their evidence, probability and status."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.outcome.described import IN_TESLA
 from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.scores.look import Look
 from magyc_gtsam.gap.scores.score import Score
-from magyc_gtsam.gap.search.found import Found
-from magyc_gtsam.gap.search.naming import Look
-
-_VETOED = (
-    "significant, but it does not improve the prediction of held-out data",
-    "significant, but its channel, shifted in time, would explain as much",
-)
 
 
 def hypotheses(
@@ -27,46 +23,46 @@ def hypotheses(
     found: Sequence[Found],
     word: Verdict,
     discrete: Sequence[NoiseScore],
-    left: Sequence[str] = (),
-    slight: Sequence[str] = (),
+    probabilities: Mapping[str, float],
 ) -> tuple[Hypothesis, ...]:
     """Return all candidates with their evidence, strongest first.
 
     Args:
-        look: the first look of the search.
+        look: the score tests of the base model.
         names: candidates.
         found: the effects.
         word: the verdict.
         discrete: scores of effects that were corrected before the look.
-        left: names that count in spite of a veto.
-        slight: effects that would explain the data, but are too small and too weak to be named.
+        probabilities: of all names.
     """
     named = {f.name for f in found} if word in ("closed", "open") else set()
     rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
-    result = [(s.evidence, _hypothesis(s, look, named, rivals, left, slight)) for s in look.scores]
-    result += [(n.evidence, _noise_hypothesis(n, named)) for n in (*discrete, *look.noise) if n.name in names]
+    result = [(s.evidence, _hypothesis(s, look, named, rivals, probabilities)) for s in look.scores]
+    result += [
+        (n.evidence, _noise_hypothesis(n, named, probabilities))
+        for n in (*discrete, *look.noise)
+        if n.name in names
+    ]
     return tuple(h for _, h in sorted(result, key=lambda pair: -pair[0]))
 
 
 def _hypothesis(
-    score: Score, look: Look, named: set[str], rivals: set[str], left: Sequence[str], slight: Sequence[str]
+    score: Score, look: Look, named: set[str], rivals: set[str], probabilities: Mapping[str, float]
 ) -> Hypothesis:
     term = TERMS.get(score.name)
     power = score.power(look.refit.twin) if term else 1.0
     matters = score.smallest(look.refit.twin) if term else 0.0
-    gain = look.gains.get(score.name, np.nan)
+    probability = probabilities.get(score.name, 0.0) if term else np.nan
     scale = term.scale if term else 1.0
     status: Status
     if score.name in named:
         status, words = "named", "named"
-    elif score.significant and not gain > 0 and score.name not in left:
-        status, words = "vetoed", _VETOED[gain == 0]
-    elif score.significant and score.name in slight:
-        status, words = "slight", "significant, but so small that any other weak effect may pass for it"
     elif score.significant and score.name in rivals:
         status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
-    elif score.significant and (named or slight):
-        status, words = "explained", "significant until other effects are in the model"
+    elif probability >= PRIOR.improbable:
+        status, words = "possible", "too improbable to be named"
+    elif score.significant and named:
+        status, words = "explained", "significant, but improbable beside the effects that are named"
     elif score.significant:
         status, words = "significant", "significant"
     elif term and power < RULES.would_be_found:
@@ -92,13 +88,13 @@ def _hypothesis(
         setting=dict(score.variant.setting),
         power=power,
         matters=matters * scale,
-        held_out_gain=gain,
+        probability=probability,
         status=status,
         sentence=words,
     )
 
 
-def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
+def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping[str, float]) -> Hypothesis:
     scale = 1e6 if noise.name in IN_TESLA else 1.0
     status: Status
     if noise.name in named:
@@ -124,7 +120,7 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
         setting=dict(noise.setting),
         power=1.0,
         matters=0.0,
-        held_out_gain=np.nan,
+        probability=probabilities.get(noise.name, 0.0),
         status=status,
         sentence=words,
     )

@@ -1,4 +1,4 @@
-"""The gap of a search: verdict, effects, calibration, and the remaining misfit."""
+"""The gap of a recording: verdict, effects, calibration, and the remaining misfit."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
+from magyc_gtsam.gap.naming.found import Found, as_found, term_places
+from magyc_gtsam.gap.naming.named import Named
 from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
 from magyc_gtsam.gap.outcome.described import describe
 from magyc_gtsam.gap.outcome.doubt import doubted, left_open, with_doubt
@@ -28,9 +30,6 @@ from magyc_gtsam.gap.result import Doubt, Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.score import DRAWS
-from magyc_gtsam.gap.search.found import Found, as_found, term_places
-from magyc_gtsam.gap.search.naming import Look
-from magyc_gtsam.gap.search.search import Search
 
 
 def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibration | None, seconds: float) -> Gap:
@@ -65,7 +64,7 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
 
 
 def gap_of(
-    result: Search,
+    result: Named,
     base: Refit,
     short_term: SensorNoise,
     calibration: Calibration | None,
@@ -73,27 +72,27 @@ def gap_of(
     discrete: tuple[NoiseScore, ...],
     seconds: float,
 ) -> Gap:
-    """Return the gap that a search has found.
+    """Return the gap.
 
     Args:
-        result: of the search.
-        base: the model at its start.
+        result: the effects that are named, and the model with them.
+        base: the model without effects.
         short_term: noise of the sensors between neighbouring samples.
         calibration: the given calibration, if any.
         names: candidates.
-        discrete: scores of effects that were corrected before the search (held samples, exchanged axes).
-        seconds: duration of the search.
+        discrete: scores of effects that were corrected beforehand (held samples, exchanged axes).
+        seconds: duration.
     """
     strength = None if calibration is None else calibration.field_strength
-    first, plain = result.first, widened(result.last.refit)
-    base, held = widened(base), tempered(result.problem, result.last.refit, short_term)
-    last = replace(result.last, refit=widened(held))
+    first, plain = result.first, widened(result.fitted)
+    base, held = widened(base), tempered(result.problem, result.fitted, short_term)
+    last = widened(held)
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
     known, added = _other_terms(calibration, found)
     open_places = {
         place: index
         for place, index in term_places(found, plain.model).items()
-        if found[place].unsure or found[place].improbable or not determined(plain, index)
+        if found[place].unsure or not determined(plain, index)
     }
     unpaid = _not_worthwhile(
         result, held, {p: i for p, i in term_places(found, plain.model).items() if p not in open_places}
@@ -104,8 +103,8 @@ def gap_of(
     started = as_calibration(base, strength, (*known, *turned))
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
     catalogue = "in the catalogue" if names == NAMES else "among the candidates"
-    effects = describe(found, last.refit, open_places, unpaid)
-    word, sentence = verdict(effects, result.leftover, last, catalogue)
+    effects = describe(found, last, result.probabilities, open_places, unpaid)
+    word, sentence = verdict(effects, result.leftover, first, catalogue)
     applied = word in ("closed", "open")
     effects = effects if applied else ()
     before = measure(first.refit.twin, started, first.fine)
@@ -114,16 +113,14 @@ def gap_of(
         after = measure(corrected.twin, final, fine)
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     untested = _untested(names, base)
-    named = [place for place, one in enumerate(found) if not one.improbable]
-    told, uncorrected = [found[p] for p in named], [named.index(p) for p in open_places if p in named]
-    tested = hypotheses(first, names, told, word, discrete, result.leftover, result.slight)
+    tested = hypotheses(first, names, found, word, discrete, result.probabilities)
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
     contradicted = () if calibration is None else against(calibration, started)
     shifted = moved(started, final) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
-    wanted = manoeuvre(first, told, word, uncorrected)
+    wanted = manoeuvre(first, found, word, open_places)
     given, fitted = (final, corrected) if applied else (started, base)
     used, untrusted = judged(given, fitted, result.recording, strength)
     gap = Gap(
@@ -145,20 +142,21 @@ def gap_of(
             "seconds": seconds,
             "leftover": list(result.leftover),
         },
+        probabilities=result.probabilities,
     )
     if word in ("none", "closed"):
         return gap if untrusted is None else replace(gap, doubt=untrusted)
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
-    missing = place_of(result.leftover, last) if result.leftover else ""
-    return with_doubt(gap, left_open(effects, uncorrected, missing, wanted))
+    missing = place_of(result.leftover, first) if result.leftover else ""
+    return with_doubt(gap, left_open(effects, list(open_places), missing, wanted))
 
 
-def _not_worthwhile(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
+def _not_worthwhile(result: Named, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
     """Return the terms (place: index) whose correction is not worthwhile, if the field evidently varies."""
     if not places:
         return {}
-    variation = field_variation(result.last.refit.twin)
+    variation = field_variation(result.fitted.twin)
     if not variation.evident:
         return {}
     held, weak = widened(held), {}
@@ -188,10 +186,10 @@ def _other_terms(
 
 
 def _corrected(
-    result: Search, last: Look, held: Refit, open_places: Collection[int], short_term: SensorNoise
+    result: Named, last: Refit, held: Refit, open_places: Collection[int], short_term: SensorNoise
 ) -> tuple[Refit, Fine]:
     """Return the model without the terms that are not corrected, and its innovations sample by sample."""
-    corrected, first = last.refit, result.first
+    corrected, first = last, result.first
     if 0 < len(open_places) == len(held.model.terms) and result.problem is first.refit.twin.problem:
         return widened(first.refit), first.fine  # no correction: the first model is unchanged
     if open_places:
@@ -199,8 +197,6 @@ def _corrected(
         for index in sorted(open_places, reverse=True):
             model = without_term(model, index)
         corrected = widened(refit(result.problem, model, short_term))
-    if corrected.model is result.last.refit.model:
-        return corrected, last.fine
     return corrected, fine_innovations(result.recording, corrected.model)
 
 

@@ -1,4 +1,4 @@
-"""The verdict of a search in one sentence, and the next manoeuvre."""
+"""The verdict in one sentence, and the next manoeuvre."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ from collections.abc import Iterable, Sequence
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
 from magyc_gtsam.gap.preparation.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.scores.look import Look
 from magyc_gtsam.gap.scores.neighbours import label_of, product_of
-from magyc_gtsam.gap.search.found import Found
-from magyc_gtsam.gap.search.naming import Look
 
 _SPELLED = 3  # effects that a sentence names
 
 
-def verdict(effects: Sequence[Effect], left: Sequence[str], last: Look, catalogue: str) -> tuple[Verdict, str]:
+def verdict(effects: Sequence[Effect], left: Sequence[str], first: Look, catalogue: str) -> tuple[Verdict, str]:
     """Return the verdict in one word, and in one sentence for a navigator.
 
     Args:
         effects: effects that were found.
-        left: names of the significant candidates that remain.
-        last: the last look, which contains them.
+        left: names of what is present beside them.
+        first: the score tests of the base model.
         catalogue: the set of candidates, in words.
     """
     if not effects and not left:
         return "none", "the model and the data agree"
     if left:
-        where = _place(left, last, catalogue)
+        where = _place(left, first, catalogue)
         firm = [effect.sentence for effect in effects if effect.name in (*TERMS, "axis-order", FIELD_VARIATION)]
         if firm:
             return "open", f"{'; '.join(firm)}; beside that, {where}"
@@ -44,9 +44,9 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
     """Return the limits of the verdict "none": effects that are too small, or that would not have been found."""
     blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
     parts = [
-        f"a possible “{h.label}” is too weak to be distinguished from other weak effects"
+        f"“{h.label}” is possible ({h.probability:.0%}), but too weak to be distinguished from other weak effects"
         for h in hypotheses
-        if h.status == "slight"
+        if h.status == "possible"
     ]
     if blind:
         named = ", ".join(blind[:_SPELLED])
@@ -57,21 +57,21 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
     return "; ".join(parts) or "every relevant value of the tested effects would have been detected"
 
 
-def place_of(left: Sequence[str], last: Look) -> str:
-    """Return the variable that the strongest remaining candidate depends on, in words."""
+def place_of(left: Sequence[str], first: Look) -> str:
+    """Return the variable that what remains depends on, in words."""
     names = set(left)
-    for score in last.scores:
+    for score in first.scores:
         if score.name in names and score.generic:
             return f"an effect that varies with {score.place} is missing"
     label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
     return f"an effect similar to “{label}” is missing" if label else "something is missing"
 
 
-def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
+def _place(left: Sequence[str], first: Look, catalogue: str) -> str:
     """Return the same with the reason why it has no name."""
     if CLOCK_DRIFT in left:
         return APART
-    where = place_of(left, last)
+    where = place_of(left, first)
     return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
 
 

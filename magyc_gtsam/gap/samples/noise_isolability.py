@@ -14,8 +14,8 @@ from scipy.stats import chi2, ncx2, norm
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.scores.look import NOISE_LIMIT
 from magyc_gtsam.gap.scores.null import quantile
-from magyc_gtsam.gap.search.naming import NOISE_LIMIT
 from magyc_gtsam.recording import Recording
 
 _SHARE = 0.01  # of the samples that are spikes

@@ -1,7 +1,7 @@
 """Effects that can be named with a motion, their smallest strength, and the effects they would be confused with.
 
 The strength is the length of an effect's vector of values. Values of random directions, with the noise of the twin, are
-subjected to the score tests and naming rules of `find_gap`; the table contains the name that a search gives first.
+subjected to the score tests; an effect is confused with the names that often explain as much or more.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from magyc_gtsam.gap.model.variants import Variant
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
+from magyc_gtsam.gap.scores.look import Look, look
 from magyc_gtsam.gap.scores.null import quantile, surprises
 from magyc_gtsam.gap.scores.score import Score
-from magyc_gtsam.gap.search.naming import Look, choices, rivals_of
-from magyc_gtsam.gap.search.search import look
 from magyc_gtsam.recording import Recording
 
 _DIRECTIONS = 500  # of the values, over which the power is averaged
 _TRIALS = 60  # of naming an effect
+# nats: a twentieth of the probability is 3; as much again for values and settings, which a score does not pay for
+_AS_GOOD = 6.0
 
 
 def isolability(recording: Recording) -> tuple[Isolability, ...]:
@@ -53,13 +54,13 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
 
 
 def _named_only(now: Look) -> Look:
-    """Return a look at the named effects only, without score bias and without vetoes."""
+    """Return a look at the named effects only, without score bias."""
     scores = [
         replace(s, variants=tuple(replace(v, offset=np.zeros_like(v.offset)) for v in s.variants))
         for s in now.scores
         if not s.generic
     ]
-    return replace(now, scores=scores, gains={s.name: 1.0 for s in scores})
+    return replace(now, scores=scores)
 
 
 def _row(term: EffectTerm, score: Score, now: Look, random: np.random.Generator) -> Isolability:
@@ -118,7 +119,7 @@ def _found_from(seen: Array, score: Score) -> float:
 
 
 def _confused(name: str, signatures: Array, now: Look, random: np.random.Generator) -> dict[str, float]:
-    """Return the names that are given instead of an effect's own or beside it, with their share of the trials.
+    """Return the other names that explain an effect as well as the best, with their share of the trials.
 
     Only names above `RULES.confused` are returned, the most frequent first.
 
@@ -130,9 +131,9 @@ def _confused(name: str, signatures: Array, now: Look, random: np.random.Generat
     """
     given: list[set[str]] = []
     for trial in _trials(now, signatures + random.standard_normal(signatures.shape)):
-        options = choices(trial, (), set())
-        if options:
-            given.append({options[0].name, *rivals_of(options[0], trial)})
+        best = trial.scores[0]
+        if best.significant:
+            given.append({s.name for s in trial.scores if best.evidence - s.evidence < _AS_GOOD})
     often = Counter(other for names in given for other in names - {name})
     return {
         other: count / len(given) for other, count in often.most_common() if count > RULES.confused * len(given)

@@ -10,30 +10,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.gap.evidence.answer import Answer
 from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.naming.found import less
+from magyc_gtsam.gap.naming.named import Named
 from magyc_gtsam.gap.samples.fine import fine_innovations
 from magyc_gtsam.gap.samples.wrong_samples import spikes
-from magyc_gtsam.gap.search.found import less
-from magyc_gtsam.gap.search.search import Search
 from magyc_gtsam.recording import Recording
 
 _WINDOW = 1.5  # s, on each side of a step: more than the longest window
 
 
-def without_samples_of_steps(recording: Recording, result: Search, said: Answer) -> tuple[Search, Answer]:
-    """Return a search and its posterior without spikes that are samples of a step."""
-    model = result.last.refit.model
-    if not _has_spikes(recording, result.recording, model):
-        found = {place for place, one in enumerate(result.found) if one.name == "spikes"}
-        result = replace(result, found=less(result.found, found))
-    if not _has_spikes(recording, said.recording, model):
-        posterior: dict[tuple[tuple[str, ...], bool], float] = {}
-        for (names, unknown), probability in said.posterior.items():
-            key = tuple(name for name in names if name != "spikes"), unknown
-            posterior[key] = posterior.get(key, 0.0) + probability
-        said = replace(said, posterior=posterior)
-    return result, said
+def without_samples_of_steps(recording: Recording, result: Named) -> Named:
+    """Return the named effects without spikes that are samples of a step; `recording`: with all its samples."""
+    if _has_spikes(recording, result.recording, result.fitted.model):
+        return result
+    spiky = {place for place, one in enumerate(result.found) if one.name == "spikes"}
+    probabilities = {name: each for name, each in result.probabilities.items() if name != "spikes"}
+    return replace(result, found=less(result.found, spiky), probabilities=probabilities)
 
 
 def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:

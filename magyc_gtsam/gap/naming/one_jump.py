@@ -1,7 +1,7 @@
 """Replace two steps of the hard iron at the two edges of one window by one jump inside that window.
 
 A window in which the hard iron jumps by d reads a share s of the jump. Two steps at its edges, with the values s d and
-(1 - s) d, describe that exactly, and so the search may find two. The values of two separate jumps are parallel only by
+(1 - s) d, describe that exactly, and so two may be found. The values of two separate jumps are parallel only by
 chance. The comparison is between one jump at a free time and two jumps; the second costs the prior odds of another name
 and the search over its time. The samples of the window are a mixture of both fields and are left out of the fit.
 """
@@ -18,17 +18,17 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.refit import Refit, refit, without_term
-from magyc_gtsam.gap.search.found import less, term_places
-from magyc_gtsam.gap.search.search import Search, look
+from magyc_gtsam.gap.naming.found import less, term_places
+from magyc_gtsam.gap.naming.named import Named
 
 _STEP = "hard-iron-step"
 _SHARES = np.linspace(0.0, 1.0, 51)
 
 
-def with_one_jump(result: Search, short_term: SensorNoise) -> Search:
-    """Return the search's result with one step in place of every two that are one jump inside a window."""
-    places = {index: place for place, index in term_places(result.found, result.last.refit.model).items()}
-    fitted = result.last.refit
+def with_one_jump(result: Named, short_term: SensorNoise) -> Named:
+    """Return the named effects with one step in place of every two that are one jump inside a window."""
+    places = {index: place for place, index in term_places(result.found, result.fitted.model).items()}
+    fitted = result.fitted
     terms, centres = fitted.model.terms, fitted.twin.time
     steps = sorted((i for i in places if terms[i].name == _STEP), key=lambda i: terms[i].setting["time"])
     for first, second in pairwise(steps):
@@ -50,9 +50,8 @@ def with_one_jump(result: Search, short_term: SensorNoise) -> Search:
         ahead = refit(problem, without_term(model, second), short_term)
         if not ahead.converged:
             continue
-        last = look(recording, ahead, result.first.tested, np.random.default_rng(0))
         found = less(result.found, {places[second]})
-        again = replace(result, recording=recording, problem=problem, last=last, found=found)
+        again = replace(result, recording=recording, problem=problem, fitted=ahead, found=found)
         return with_one_jump(again, short_term)
     return result
 

@@ -1,0 +1,1 @@
+"""The effects that are named, by the posterior."""

@@ -1,0 +1,225 @@
+"""The effects that the posterior names, the model with them, and what remains without a name.
+
+An effect is named where it is probable enough, alone or together with rivals that explain the same. These are the
+effects of the median probability model (Barbieri and Berger, Ann. Statist. 32, 2004), with a limit above one half since
+a wrong name costs more than a missing one. Something remains without a name where it is as probable that something else
+is present: an effect that is not named, or one outside the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
+from magyc_gtsam.gap.evidence.decision import marginals
+from magyc_gtsam.gap.evidence.posterior import Set, kept, names_of
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
+from magyc_gtsam.gap.model.field_variation import FieldVariation
+from magyc_gtsam.gap.model.problem import Active, Problem
+from magyc_gtsam.gap.model.refit import Refit, refit
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.naming.found import Found, as_found
+from magyc_gtsam.gap.naming.own_time import in_its_own_time
+from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT, drift_apart
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.scores.look import Look
+from magyc_gtsam.gap.scores.neighbours import product_of
+from magyc_gtsam.gap.scores.score import Score
+from magyc_gtsam.recording import Recording
+
+_OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # functions of time alone
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """The effects that are named.
+
+    Attributes:
+        recording, problem: the data, without wrong samples and tones.
+        first: the score tests of the base model.
+        fitted: the model with the effects.
+        found: the effects; those that are terms in the order of the model's (`found.term_places`).
+        leftover: names of what else is present: the most probable family without a physical meaning, and drifting
+            clocks.
+        probabilities: the posterior's, of all names.
+    """
+
+    recording: Recording
+    problem: Problem
+    first: Look
+    fitted: Refit
+    found: tuple[Found, ...]
+    leftover: tuple[str, ...]
+    probabilities: Mapping[str, float]
+
+
+def named(said: Answer, first: Look, base: Refit, short_term: SensorNoise) -> Named:
+    """Name the effects of a recording.
+
+    Args:
+        said: the posterior of the recording.
+        first: the score tests of the base model.
+        base: the model without effects, with the terms of a given calibration.
+        short_term: noise of the sensors between neighbouring samples.
+    """
+    given = tuple(term.name for term in base.model.terms)
+    posterior = said.posterior
+    while True:
+        stated = marginals(posterior)
+        rivals = _probable(posterior, stated)
+        fitted = _fitted(said.tree, rivals, given, short_term)
+        terms = enumerate(fitted.model.terms[len(given) :], len(given))
+        by_chance = {term.name for index, term in terms if not in_its_own_time(fitted, index)}
+        if not by_chance:
+            break
+        posterior = _without(posterior, by_chance)
+    found = [
+        *_terms(fitted, len(given), rivals, first),
+        *_noise(said, first, fitted, stated),
+        *_of_the_place(said.tree.best.variation, stated),
+    ]
+    left = _family(said.tree) if _unnamed(posterior, rivals, given) > PRIOR.missing_from else ()
+    if drift_apart(fitted) or (left and "timing" not in rivals and drift_apart(_best(said.tree, short_term))):
+        left = (CLOCK_DRIFT, *left)
+    return Named(said.recording, fitted.twin.problem, first, fitted, tuple(found), left, stated)
+
+
+def _without(posterior: Mapping[Set, float], names: AbstractSet[str]) -> dict[Set, float]:
+    """Return the posterior given that some effects are not present."""
+    rest = {key: p for key, p in posterior.items() if names.isdisjoint(key[0])}
+    total = sum(rest.values())
+    return {key: p / total for key, p in rest.items()}
+
+
+def _probable(posterior: Mapping[Set, float], stated: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
+    """Return {effect that is named: its rivals}, the most probable first."""
+    result: dict[str, tuple[str, ...]] = {}
+    for name in (name for name in stated if name in TERMS):
+        others = [one for one in stated if one in TERMS and related(name, one) and one != name]
+        rivals = tuple(one for one in others if _in_place_of(posterior, name, one))
+        together = _any_of(posterior, {name, *rivals})
+        said = {one for first, more in result.items() for one in (first, *more)}
+        if stated[name] > PRIOR.named_from or (together > PRIOR.named_from and said.isdisjoint({name, *rivals})):
+            result[name] = rivals
+    return result
+
+
+def _in_place_of(posterior: Mapping[Set, float], name: str, other: str) -> bool:
+    """Return whether another effect may well be present instead of one."""
+    instead = sum(p for (names, _), p in posterior.items() if other in names and name not in names)
+    return instead > PRIOR.improbable
+
+
+def _any_of(posterior: Mapping[Set, float], wanted: AbstractSet[str]) -> float:
+    return sum(p for (names, _), p in posterior.items() if not wanted.isdisjoint(names))
+
+
+def _unnamed(posterior: Mapping[Set, float], rivals: Mapping[str, Sequence[str]], given: Sequence[str]) -> float:
+    """Return the probability that an effect is present that is neither named, nor a rival, nor given."""
+    said = {*given, *rivals, *(name for more in rivals.values() for name in more)}
+    result = 0.0
+    for (names, unknown), p in posterior.items():
+        if unknown or any(name in TERMS and name not in said for name in names):
+            result += p
+    return result
+
+
+def _fitted(
+    tree: Tree, wanted: Mapping[str, Sequence[str]], given: Sequence[str], short_term: SensorNoise
+) -> Refit:
+    """Return the model with the named effects, from the most probable set that contains most of them."""
+
+    def fits(node: Node) -> tuple[int, int, float]:
+        there = names_of(tree, node) - set(given)
+        return len(there & wanted.keys()), -len(there - wanted.keys()), node.log
+
+    node = max((node for node in tree.nodes.values() if node.names[: len(given)] == given), key=fits)
+    terms, strong = node.fit.model.terms, kept(tree, node)
+    chosen = [t for i, t in enumerate(terms) if i < len(given) or (t.name in wanted and i in strong)]
+    model = replace(node.fit.model, terms=tuple(part for term in chosen for part in _parts(term)))
+    return refit(node.fit.twin.problem, model, short_term)
+
+
+def _best(tree: Tree, short_term: SensorNoise) -> Refit:
+    """Return the most probable model, whatever of it is named."""
+    fit = tree.best.fit
+    return refit(fit.twin.problem, fit.model, short_term)
+
+
+def _parts(term: Active) -> Iterator[Active]:
+    """Yield the two steps of an object that is attached and taken off again; any other term as it is."""
+    if "until" not in term.setting:
+        yield term
+        return
+    for end, sign in (("time", 1.0), ("until", -1.0)):
+        yield replace(term, setting={"time": term.setting[end]}, value=sign * term.value)
+
+
+def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]], first: Look) -> Iterator[Found]:
+    scores = {score.name: score for score in first.scores}
+    for index, term in enumerate(fitted.model.terms[given:], given):
+        missing = _without_channel(term.name, fitted.twin)
+        others = tuple(dict.fromkeys((*rivals[term.name], *missing)))
+        score = scores[term.name]
+        unsure = bool(missing) and _any_change(score, first)
+        yield Found(term.name, fitted.weight_of(index), score.threshold, others, unsure=unsure)
+
+
+def _without_channel(name: str, twin: Twin) -> list[str]:
+    """Return the effects whose missing channel might explain a change with time."""
+    if name not in _OF_TIME:
+        return []
+    return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
+
+
+def _any_change(score: Score, first: Look) -> bool:
+    """Return whether other changes explain as much as an effect of which the channel may be missing.
+
+    An effect that follows an unrecorded depth or temperature may resemble a passed object where the channel is large,
+    or a drift on level turns. For steps and drifts, changes in the sensor's axes do not count: they are such changes.
+    """
+    own = "time:sensor" if score.name in ("hard-iron-step", "hard-iron-drift") else "-"
+    changes = (s for s in first.scores if s.generic and s.significant and s.name.startswith("time:"))
+    return any(s.evidence > score.evidence - RULES.ahead for s in changes if not s.name.startswith(own))
+
+
+def _noise(said: Answer, first: Look, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
+    """Yield the effects on single samples, and correlated noise."""
+    scores = [*said.left_out, *(one for one in first.noise if one.name == "quantisation")]
+    if stated.get(COLOUR, 0.0) > PRIOR.named_from:
+        scores += [
+            one for one in replace(first, recording=said.recording, refit=fitted).noise if one.name == COLOUR
+        ]
+    yield from (as_found(score) for score in scores if stated.get(score.name, 0.0) > PRIOR.named_from)
+
+
+def _of_the_place(variation: FieldVariation | None, stated: Mapping[str, float]) -> Iterator[Found]:
+    """Yield the variation of the field, an effect that changes no reading."""
+    if variation is not None and stated.get(FIELD_VARIATION, 0.0) > PRIOR.named_from:
+        size = float(np.hypot(variation.along, variation.attitude))
+        yield as_found(
+            NoiseScore(
+                FIELD_VARIATION,
+                2 * variation.gain,
+                0.0,
+                variation.gain,
+                True,
+                np.array([size]),
+                np.array([0.5 * size]),  # the grid of amplitudes has octaves
+                {"period": variation.period, "attitude": variation.attitude},
+            )
+        )
+
+
+def _family(tree: Tree) -> tuple[str, ...]:
+    """Return the most probable family, by which what has no name is described."""
+    families = [one for one in tree.best.found.values() if one.name not in TERMS and product_of(one.name) is None]
+    return tuple(one.name for one in sorted(families, key=lambda one: -one.log)[:1])

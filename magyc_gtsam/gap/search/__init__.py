@@ -1,1 +1,0 @@
-"""The search: the next effect to add, its rivals, objections to it, and corrections by the posterior."""

@@ -1,0 +1,137 @@
+"""The names that the posterior gives, and the verdict that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.evidence.answer import Answer, answer
+from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
+from magyc_gtsam.gap.evidence.posterior import Set
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.model.field_variation import field_variation
+from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.naming.named import named
+from magyc_gtsam.gap.outcome.outcome import gap_of
+from magyc_gtsam.gap.scores.look import Look, look
+from magyc_gtsam.report.gap_words import key_numbers
+
+Looked = tuple[Look, Answer, Refit, SensorNoise]
+
+
+@pytest.fixture(scope="module")
+def looked() -> Looked:
+    """A late magnetometer."""
+    recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
+    noise = short_term_noise(recording)
+    base = base_model(recording, None, noise)
+    first = look(recording, base, ("timing", "eddy-plane", "cubic"), np.random.default_rng(0))
+    return first, answer(recording, base, noise, NAMES), base, noise
+
+
+def gap_by(looked: Looked, posterior: Mapping[Set, float]) -> mg.Gap:
+    """What is told of it under a posterior."""
+    first, said, base, noise = looked
+    result = named(replace(said, posterior=dict(posterior)), first, base, noise)
+    return gap_of(result, base, noise, None, NAMES, (), 0.0)
+
+
+def test_a_probable_effect_is_named_and_corrected(looked: Looked) -> None:
+    gap = gap_by(looked, looked[1].posterior)
+    assert gap.names == ("timing",)
+    assert gap.effects[0].applied
+    assert gap.effects[0].probability == gap.probabilities["timing"] > 0.9
+    assert gap.verdict == "closed"
+    assert {h.name: h.status for h in gap.hypotheses}["timing"] == "named"
+
+
+def test_an_improbable_effect_is_not_named(looked: Looked) -> None:
+    least = PRIOR.named_from
+    gap = gap_by(looked, {((), True): 1.01 - least, (("timing",), True): least - 0.01})
+    assert gap.verdict == "unknown"
+    assert not gap.names
+    assert "missing" in gap.sentence
+    assert gap.calibration.delay == 0
+    assert not gap.calibration.trusted
+    assert {h.name: h.status for h in gap.hypotheses}["timing"] == "possible"
+    again = gap_by(looked, {((), True): 0.99 - least, (("timing",), True): least + 0.01})
+    assert again.names == ("timing",)
+    assert again.verdict == "open"
+    assert again.effects[0].applied
+
+
+def test_something_is_missing_only_where_that_is_probable(looked: Looked) -> None:
+    """Any effect that is not named counts, not only one outside the catalogue."""
+    least = PRIOR.missing_from
+    half = 0.5 * (least + 0.01)
+    assert (
+        gap_by(looked, {((), False): 0.99 - least, (("timing",), False): half, ((), True): half}).verdict
+        == "unknown"
+    )
+    half = 0.5 * (least - 0.01)
+    gap = gap_by(looked, {((), False): 1.01 - least, (("timing",), False): half, ((), True): half})
+    assert gap.verdict == "none"
+    assert "possible" in gap.sentence
+
+
+def test_rivals_are_named_together(looked: Looked) -> None:
+    """Neither is probable, but one of both is."""
+    gap = gap_by(looked, {(("timing",), False): 0.5, (("eddy-plane",), False): 0.45, ((), True): 0.05})
+    assert gap.names == ("timing",)
+    assert gap.effects[0].ambiguous_with == ("eddy-plane",)
+    assert gap.verdict == "closed"
+    apart = gap_by(looked, {(("timing",), False): 0.5, (("cubic",), False): 0.45, ((), True): 0.05})
+    assert not apart.names  # the two are not confused with each other
+    assert apart.verdict == "unknown"
+
+
+def test_the_variation_of_the_field_is_named_by_its_own_probability(
+    looked: Looked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, said, base, noise = looked
+    bare = said.tree.nodes[()]
+    variation = replace(field_variation(bare.fit.twin), gain=100.0)
+    monkeypatch.setattr(said.tree, "nodes", {(): replace(bare, variation=variation)})
+    for unknown, verdict in ((0.0, "closed"), (0.2, "closed"), (0.95, "open")):
+        posterior = {((FIELD_VARIATION,), False): 1 - unknown, ((FIELD_VARIATION,), True): unknown}
+        gap = gap_by((first, said, base, noise), posterior)
+        assert gap.names == (FIELD_VARIATION,)
+        assert gap.verdict == verdict
+
+
+def test_a_field_that_varies_closes_the_gap() -> None:
+    """In the world's axes it is the place's, and nothing else is named for it; in the sensor's it has no name."""
+    recording = mg.simulate("wide", 300, seed=8).recording
+    phases = np.random.default_rng(1).uniform(0, 6, (3, 5))
+    slow = np.sin(2 * np.pi * recording.time[:, None, None] / np.array([31, 43, 57, 71, 97.0]) + phases).sum(
+        axis=2
+    )
+    for moving, added in (
+        (False, Rotation.from_quat(recording.attitude).inv().apply(slow)),
+        (True, slow),
+    ):
+        field = recording.magnetic_field + 0.4e-6 * added
+        gap = mg.find_gap(mg.Recording(recording.time, field, recording.angular_rate))
+        assert ("field-variation" in gap.names) is not moving
+        if moving:
+            assert gap.probabilities.get(FIELD_VARIATION, 0.0) < 0.5
+        if not moving:
+            assert gap.verdict == "closed"
+            assert gap.probabilities[FIELD_VARIATION] > 0.95
+            assert gap.probabilities.get(UNKNOWN, 0.0) + gap.probabilities.get(NOTHING, 0.0) < 0.5
+            assert gap.effects[-1].unit == "µT"
+            assert 0.1 < gap.effects[-1].value[0] < 1.6
+            assert all(effect.probability > PRIOR.named_from for effect in gap.effects)
+            assert "field-variation" not in {term.name for term in gap.calibration.terms}
+            (added,) = (number for number in key_numbers(gap) if number.what == "Effects added")
+            assert int(added.value) == len(gap.effects) - 1
