@@ -1,4 +1,4 @@
-"""Constants of the decisions what is named and corrected, in one place, each with its unit and reason."""
+"""Constants that decide about data, effects and corrections, in one place, each with its unit and reason."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ class Rules:
     """The thresholds; the code that uses one determines how.
 
     They were set on earlier editions of the blind test and evaluated on later ones (`docs/blind_test.md`, which has the
-    measurements under "Rules"). Constants that decide nothing (grids, numbers of iterations, tolerances of rounding)
-    are beside their algorithms. The thresholds of the posterior are in `evidence/prior.py`, those of a comparison of
-    many logs in `many/model.py`.
+    measurements under "Rules of data and effects"). Constants that decide nothing (grids, numbers of iterations,
+    tolerances of rounding) are beside their algorithms. What is named is decided by the posterior, whose constants are
+    in `evidence/prior.py`; those of a comparison of many logs are in `many/model.py`.
     """
 
-    # What is named and corrected.
+    # What is tested and corrected.
     ahead: float = 9.0  # nats by which an effect must lead other changes, if a channel is missing
     # share of the entries in which single axes repeat, above which the steps are coarse
     alone_axis: float = 0.1
