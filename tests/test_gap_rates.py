@@ -22,7 +22,7 @@ from magyc_gtsam.blindtest.scoring import IN_SET, PARTIAL, RIGHT, SILENT, UNKNOW
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.simulation.effects import FOREIGN, NAMED
 
-EDITION = 26
+EDITION = 303
 SECONDS, FACTOR = 120.0, 2.6
 CLEAN = 2
 PAIRS = {"wide": 0, "multi": 2}  # number of the pair that a motion takes

@@ -32,7 +32,7 @@ class Rules:
     determined_by_data: float = 0.75
     # probability of any name by chance, all candidates together, in a recording without an effect
     family_wise: float = 0.01
-    farthest: float = 3.0  # prior standard deviations beyond which a value is not possible
+    farthest: float = 4.0  # prior standard deviations beyond which a value is not possible
     field_differs: float = 0.02  # of the field: a degree of heading
     field_varies: float = 5.0  # nats: twice the largest value of clean recordings (2.3)
     held_rows: float = 0.08  # share of rows that exactly repeat the one before

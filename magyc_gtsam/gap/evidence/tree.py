@@ -152,14 +152,18 @@ class Tree:
         return self.best is not best
 
     def _deepened(self) -> bool:
-        """Add one more effect to the best set; return whether the new set is better."""
+        """Add one more effect to the best set, and to those that may become better; return whether one is."""
         best = self.best
-        options = [each for each in best_of(best.found, len(TERMS)) if not self._full(best, each.name)][:1]
-        for option in options if len(best.fit.model.terms) < PRIOR.depth else []:
-            key = tuple(sorted((*best.names, option.name)))
-            child = self._child(best, option) if key not in self.nodes and option.log + PRIOR.named > 0 else None
-            if child is not None:
-                self.nodes[key] = child
+        for node in list(self.nodes.values()):
+            options = [each for each in best_of(node.found, len(TERMS)) if not self._full(node, each.name)][:1]
+            ahead = (each for each in options if node is best or node.log + each.log + PRIOR.named > best.log)
+            for option in ahead if len(node.fit.model.terms) < PRIOR.depth else ():
+                key = tuple(sorted((*node.names, option.name)))
+                child = (
+                    self._child(node, option) if key not in self.nodes and option.log + PRIOR.named > 0 else None
+                )
+                if child is not None:
+                    self.nodes[key] = child
         return self.best is not best
 
     @staticmethod
