@@ -158,12 +158,7 @@ class Tree:
             options = [each for each in best_of(node.found, len(TERMS)) if not self._full(node, each.name)][:1]
             ahead = (each for each in options if node is best or node.log + each.log + PRIOR.named > best.log)
             for option in ahead if len(node.fit.model.terms) < PRIOR.depth else ():
-                key = tuple(sorted((*node.names, option.name)))
-                child = (
-                    self._child(node, option) if key not in self.nodes and option.log + PRIOR.named > 0 else None
-                )
-                if child is not None:
-                    self.nodes[key] = child
+                self._fitted(node, option)
         return self.best is not best
 
     @staticmethod
