@@ -39,28 +39,27 @@ class Rules:
     late: float = 0.01  # rad of rotation
     longest_colour: float = 4.0  # s, correlation time above which colour is a drift of unknown cause
     lowest_bins: int = 5  # of the periodogram, too slow for a tone: they are drifts
+    # share of what is explained that counts as most of it: what a shifted channel may still explain before the shift is
+    # too short, and the repeated entries that chance must not explain (axes that pause together are not held)
+    most: float = 0.7
     moved: float = 2.0  # sigmas above which a parameter is reported as moved
     much: float = 60.0  # statistic above which an effect is removed before the colour is estimated
     one_way: float = 0.75  # share of the colour along one axis above which it is not noise
     rare: float = 0.05  # share of wrong samples; a larger one is another distribution of the noise
-    # share of the repeated entries that chance must not explain: axes that pause together are not held
-    repeats_left: float = 0.7
     span: float = 2.5  # widths within which a second bump belongs to the first
     spike: float = 4.5  # sigmas, exceeded by one normal vector in six thousand
     spikes_alone: float = 0.46  # share of the spikes, adjacent ones counted as one, that have no neighbour
-    too_slow: float = 0.7  # share that a shifted channel may still explain; with more the shift is too short
     unsure_line: float = 2.0  # nats added to the level of a line, because the floor below it is estimated
     worth_moving: float = 0.5  # root mean square change of the iron, in sigmas, above which it is changed
 
     # Which rows and channels are used, before the estimation.
-    window: float = (
-        1.0  # s, maximum length of an innovation's window: field and bias are constant in it, noise averages out
-    )
+    # s, maximum length of an innovation's window, and of a mean by which a rest is detected: field and bias are
+    # constant in it, noise averages out
+    window: float = 1.0
     pause: float = 10.0  # s, longest pause of a channel that is interpolated; or in spacings of its own values,
     pause_spacings: float = 5.0  # whichever is longer
     rows_left_out: float = 0.5  # share of the rows that a channel's pauses may take; with more it is not used
     repeats_by_chance: float = 0.2  # step in sigmas above which repeated values are chance, not held samples
-    rest_mean: float = 1.0  # s over which readings are averaged to detect a rest
     rest_means: int = 10  # number of such means that hardly differ, from which they are a rest
     rest_same: float = 0.03  # of the field's spread over the recording, below which means hardly differ
     rest_near: int = 3  # means beside a rest in which a jump belongs to it

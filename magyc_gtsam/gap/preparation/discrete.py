@@ -84,7 +84,7 @@ def moving(recording: Recording) -> Recording:
     ends with a jump that no rotation explains is kept, because there iron did come or go.
     """
     time, field = recording.magnetometer
-    second = np.floor((time - time[0]) / RULES.rest_mean).astype(int)
+    second = np.floor((time - time[0]) / RULES.window).astype(int)
     number, starts, count = np.unique(second, return_index=True, return_counts=True)
     if len(number) < 2 * RULES.rest_means:
         return recording
@@ -111,8 +111,8 @@ def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.
     """Return (n − 1,) whether the field changes more between successive means (n, 3) than the rotation explains."""
     when, rate = recording.gyroscope
     turned = summed_rate(when, np.linalg.norm(rate, axis=1))
-    # A mean covers `rest_mean` s from its first sample on.
-    turn = np.interp(time[1:] + RULES.rest_mean, when, turned) - np.interp(time[:-1], when, turned)
+    # A mean covers `window` s from its first sample on.
+    turn = np.interp(time[1:] + RULES.window, when, turned) - np.interp(time[:-1], when, turned)
     change = np.linalg.norm(np.diff(mean, axis=0), axis=1)
     result: np.ndarray = change > RULES.rest_jump * spread + 2 * spread * turn
     return result
