@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 # Examples and data sets stand beside docs/ in the repository, and are no pages.
@@ -17,20 +16,6 @@ _OUTSIDE = re.compile(
 _COLOURS = ("#2b8cdb", "#1f9e89", "#d9730d")
 _SECONDS = {"tone": 10, "quantisation": 10, "sample-hold": 10}  # of those that are fast; else all
 _METADATA = ("Creator", "Date", "Format", "Type")
-_EXPLANATIONS = {  # each a page of its own part of the code
-    "gap.md": "How an effect is named",
-    "reliability.md": "How far to trust it",
-    "architecture.md": "Architecture",
-}
-
-
-def on_config(config: Any) -> Any:
-    """The explanations that are there."""
-    pages = next(section["Explanation"] for section in config.nav if "Explanation" in section)
-    there = [name for name in _EXPLANATIONS if (Path(config.docs_dir) / name).exists()]
-    listed = {path for page in pages for path in page.values()}
-    pages += [{_EXPLANATIONS[name]: name} for name in there if name not in listed]
-    return config
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
