@@ -236,7 +236,7 @@ def test_places_of_terms_count_those_that_were_given() -> None:
 
 def test_what_the_motion_leaves_open_is_named_and_not_corrected() -> None:
     """Level turns know the difference of the level axes' scales, and hardly their sum."""
-    simulation = mg.simulate("moderate", 200, seed=5, effects=[("gyro-scale", 2.0)])
+    simulation = mg.simulate("moderate", seed=5, effects=[("gyro-scale", 2.0)])
     candidates = ["gyro-scale", "gyro-quadratic", "misalignment", "timing"]
     gap = mg.find_gap(simulation.recording, candidates=candidates)
     assert gap.names == ("gyro-scale",)

@@ -54,7 +54,7 @@ class Prior:
         depth, beam: largest number of effects in a set, beside a varying field, and candidates that extend each set.
         nodes, most: largest number of fitted sets, without and with the sets in which rivals were exchanged.
         close: nats below the best set beyond which a set is not extended.
-        named_from: probability above which an effect is named: a wrong name costs as much as three missing ones.
+        named_from: probability above which an effect is named: a wrong name costs as much as four missing ones.
         missing_from: probability above which something without a name is said to be present: the calibration is then
             not trusted.
         improbable: probability below which an effect is neither a rival nor possible.
@@ -88,7 +88,7 @@ class Prior:
     most: int = 16
     beam: int = 3
     close: float = 12.0
-    named_from: float = 0.75
+    named_from: float = 0.8
     missing_from: float = 0.9
     improbable: float = 0.05
     certain: float = 12.0
