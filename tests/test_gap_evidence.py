@@ -17,7 +17,7 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
-from magyc_gtsam.gap.evidence.posterior import kept, normalised, weights
+from magyc_gtsam.gap.evidence.posterior import Weight, kept, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
@@ -85,15 +85,40 @@ def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
     """Any of them together, at odds that grow with their number; effects on single samples are not among them."""
     odds = PRIOR.resembled + (0.0 if unknown else PRIOR.all_named)
     ratio = {count: float(np.exp(odds + (count - 1) * PRIOR.each_more)) for count in (1, 2, 3)}
+    if not unknown:
+        ratio[1] = 0.0  # nothing is left of a cause that one name explains
+    seen = 50.0 if unknown else None
     names = (FIELD_VARIATION, "cubic", "timing", "tone")
-    stated = marginals(normalised({(names, unknown): 0.0}))
+    powers = dict.fromkeys((*names, "gyro-scale"), 100.0)
+    stated = marginals(normalised(summed([Weight(names, 0.0, seen, powers)])))
     total = 1 + 2 * ratio[1] + ratio[2]
     share = 1 - PRIOR.unforeseen
     assert stated["cubic"] == pytest.approx(share * (1 + ratio[1]) / total)
     assert stated["tone"] == stated[FIELD_VARIATION] == pytest.approx(share)
-    three = marginals(normalised({(("cubic", "gyro-scale", "timing"), unknown): 0.0}))
+    three = marginals(normalised(summed([Weight(("cubic", "gyro-scale", "timing"), 0.0, seen, powers)])))
     all_three = 1 + 3 * ratio[1] + 3 * ratio[2] + ratio[3]
     assert three["cubic"] == pytest.approx(share * (1 + 2 * ratio[1] + ratio[2]) / all_three)
+
+
+def test_what_one_name_explains_but_for_its_form_is_that_effect() -> None:
+    """A hundredth of the power beside it makes no other cause of it."""
+    names = ("cubic", "timing")
+    alike, large = (
+        marginals(normalised(summed([Weight(names, 0.0, None, {"timing": 1000.0, "cubic": power})])))["timing"]
+        for power in (500.0, 10.0)
+    )
+    assert alike < large == pytest.approx(1 - PRIOR.unforeseen)
+
+
+def test_a_small_unknown_effect_is_no_part_of_a_large_name() -> None:
+    """What it explains must exceed the deviation of the name from its form."""
+    least = PRIOR.form * 1000.0
+    small, large = (
+        marginals(normalised(summed([Weight(("timing",), 0.0, seen, {"timing": 1000.0})])))["timing"]
+        for seen in (0.9 * least, 1.1 * least)
+    )
+    assert small > 0.97
+    assert large < 0.7
 
 
 def test_a_product_pays_for_the_time_of_its_jump() -> None:
@@ -153,7 +178,7 @@ def test_an_effect_with_a_large_product_is_another_effect() -> None:
     for node in tree.nodes.values():  # nothing else that is unknown explains it
         for name in [name for name in node.found if name != "timing" and product_of(name) is None]:
             del node.found[name]
-    stated = marginals(normalised(weights(tree)))
+    stated = marginals(normalised(summed(weights(tree))))
     assert stated[UNKNOWN] > 0.9
     assert stated["timing"] < 0.1
 

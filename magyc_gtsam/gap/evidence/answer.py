@@ -12,7 +12,7 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
 from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, singles_of, smoothed, without
-from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, weights
+from magyc_gtsam.gap.evidence.posterior import Set, Weight, key_of, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of
@@ -99,11 +99,7 @@ def _bare(model: Model, level: SensorNoise) -> Model:
 
 
 def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, float]:
-    models = weights(tree)
-
-    def add(key: tuple[str, ...], unknown: bool, log: float) -> None:
-        models[key, unknown] = float(np.logaddexp(models.get((key, unknown), -np.inf), log))
-
+    each, beside = list(weights(tree)), {}
     if coloured and "quantisation" not in said:
         for node in tree.nodes.values():
             if node.variation is not None:
@@ -111,15 +107,18 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
             left = node.beside.left()
             power = float(left @ left) - tree.freedom
             if power > PRIOR.form * node.explained:
-                colour = colour_of(left)
-                add(tuple(sorted((*key_of(tree, node), COLOUR))), False, node.log + PRIOR.named + colour.alike)
-                add(key_of(tree, node), True, node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way)
+                colour, key = colour_of(left), key_of(tree, node)
+                with_colour = tuple(sorted((*key, COLOUR)))
+                each.append(Weight(with_colour, node.log + PRIOR.named + colour.alike))
+                log = node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way
+                each.append(Weight(key, log, power))
         if colour_of(tree.nodes[()].beside.left()).alike + PRIOR.named > max(0.0, tree.best.log - PRIOR.close):
             for names, (log, colour) in beside_colour(tree).items():
                 key = tuple(sorted((*names, COLOUR)))
-                models[key, False] = max(
-                    models.get((key, False), -np.inf), log + colour.alike + (len(names) + 1) * PRIOR.named
-                )
+                beside[key, False] = log + colour.alike + (len(names) + 1) * PRIOR.named
+    models = summed(each)
+    for one, log in beside.items():
+        models[one] = max(models.get(one, -np.inf), log)
     for name, odds in said.items():  # beside every set
         there = {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
         if name in ("spikes", "tone") and odds > 0:  # or a part of the unknown effect

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -20,42 +22,70 @@ from magyc_gtsam.gap.scores.neighbours import product_of
 Set = tuple[tuple[str, ...], bool]  # names, and True if an unknown effect is present
 
 
-def weights(tree: Tree) -> dict[Set, float]:
-    """Return {set: log weight}: each as it is, with a small deviation from its form, or with an unknown effect."""
-    result: dict[Set, float] = {}
+class Weight(NamedTuple):
+    """The log weight of a set.
+
+    Attributes:
+        names: of the set.
+        log: nats.
+        seen: power that an unknown effect explains beside the names; None without one.
+        powers: that each name explains.
+    """
+
+    names: tuple[str, ...]
+    log: float
+    seen: float | None = None
+    powers: Mapping[str, float] = MappingProxyType({})
+
+
+def weights(tree: Tree) -> Iterator[Weight]:
+    """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect."""
     tried = tree.nodes.keys() | tree.refused
-
-    def add(key: tuple[str, ...], unknown: bool, log: float) -> None:
-        result[key, unknown] = float(np.logaddexp(result.get((key, unknown), -np.inf), log))
-
     for node in tree.nodes.values():
-        key = key_of(tree, node)
-        form, foreign = _families(tree, node)
-        add(
-            key,
-            False,
-            np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log,
-        )
+        key, powers = key_of(tree, node), _powers(tree, node)
+        form, (foreign, seen) = _families(tree, node)
+        log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
+        yield Weight(key, log, None, powers)
         if np.isfinite(foreign):
-            add(key, True, node.log + PRIOR.unknown + foreign)
-        for log in _products(node):
-            add(key, True, node.log + log)
-        for less, log in _imitated(tree, node, key):
-            add(less, True, node.log + log)
-        for log in node.moving:  # the only unknown effect that resembles a field of the place
-            add(key, True, node.log + PRIOR.unknown + log)
+            yield Weight(key, node.log + PRIOR.unknown + foreign, seen, powers)
+        for log, seen in _products(node):
+            yield Weight(key, node.log + log, seen, powers)
+        for less, log, seen in _imitated(tree, node, powers):
+            yield Weight(less, node.log + log, seen, powers)
+        for gain in node.moving:  # the only unknown effect that resembles a field of the place
+            yield Weight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
         for each in node.found.values():  # sets that were not fitted, in linearised form
             more = tuple(sorted((*node.names, each.name)))
             if each.name in TERMS and each.name not in node.names and more not in tried:
-                seen = each.power > PRIOR.form * node.of_field
-                if seen.any():
-                    log = node.log + PRIOR.named + logsumexp(each.by_scale[seen])
-                    add(tuple(sorted({*key, each.name})), False, log)
+                large = each.power > PRIOR.form * node.of_field
+                if large.any():
+                    log = node.log + PRIOR.named + logsumexp(each.by_scale[large])
+                    with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each])}
+                    yield Weight(tuple(sorted({*key, each.name})), log, None, with_it)
+
+
+def _powers(tree: Tree, node: Node) -> dict[str, float]:
+    """Return the power that each name of a set explains."""
+    result = dict.fromkeys(key_of(tree, node), 0.0)
+    for index in kept(tree, node):
+        result[node.fit.model.terms[index].name] += float(node.powers[index, index])
+    if FIELD_VARIATION in result:
+        result[FIELD_VARIATION] = node.of_field
     return result
 
 
-def _families(tree: Tree, node: Node) -> tuple[float, float]:
-    """Return the nats of families no larger than the set's deviation from its form, and of larger ones."""
+def _mean_power(families: Sequence[Weighed], least: float = 0.0) -> float:
+    """Return the power above `least` that families explain, in the mean over families and scales."""
+    large = [each.power > least for each in families]
+    logs = np.concatenate([[-np.inf], *(each.by_scale[seen] for each, seen in zip(families, large, strict=True))])
+    if not np.isfinite(logs).any():
+        return 0.0
+    power = np.concatenate([[0.0], *(each.power[seen] for each, seen in zip(families, large, strict=True))])
+    return float(np.exp(logs - logsumexp(logs)) @ power)
+
+
+def _families(tree: Tree, node: Node) -> tuple[float, tuple[float, float]]:
+    """Return the nats of families no larger than the set's deviation from its form, and of larger ones with power."""
     families = _generic(node)
     form, foreign = [], []
     for each in families:
@@ -65,19 +95,22 @@ def _families(tree: Tree, node: Node) -> tuple[float, float]:
         if (~small).any() and product_of(each.name) is None:
             foreign.append(logsumexp(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
     share = np.log(max(len(families), 1))
+    alone = [each for each in families if product_of(each.name) is None]
+    seen = _mean_power(alone, PRIOR.form * node.explained) if foreign else 0.0
     return (
         float(logsumexp(form) - share) if form else -np.inf,
-        float(logsumexp(foreign) - share) if foreign else -np.inf,
+        (float(logsumexp(foreign) - share) if foreign else -np.inf, seen),
     )
 
 
-def _products(node: Node) -> Iterator[float]:
-    """Yield the nats of products of an effect with another signal in place of the effect; all are equally probable."""
+def _products(node: Node) -> Iterator[tuple[float, float]]:
+    """Yield nats and power of products of an effect with another signal in its place; all are equally probable."""
     least = PRIOR.form * node.explained
     for name in {product_of(each) for each in node.found} - {None, *node.names}:
         found = [each for each in node.found.values() if product_of(each.name) == name]
         large = np.concatenate([*(each.by_scale[each.power > least] for each in found), [-np.inf]])
-        yield PRIOR.named + PRIOR.imitated + float(logsumexp(large)) - float(np.log(len(found)))
+        log = PRIOR.named + PRIOR.imitated + float(logsumexp(large)) - float(np.log(len(found)))
+        yield log, _mean_power(found, least)
 
 
 def _generic(node: Node) -> list[Weighed]:
@@ -85,23 +118,20 @@ def _generic(node: Node) -> list[Weighed]:
     return [e for e in node.found.values() if e.name not in TERMS and product_of(e.name) in (None, *node.names)]
 
 
-def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield (the other effects, nats) for each effect of a set being a part of an effect outside the catalogue.
+def _imitated(
+    tree: Tree, node: Node, powers: Mapping[str, float]
+) -> Iterator[tuple[tuple[str, ...], float, float]]:
+    """Yield (other effects, nats, power) for each effect of a set being a part of an effect outside the catalogue.
 
     The rest of that effect is a family of a power tied to that of the effect, and too small to be detected beside it
-    (a larger one: `_with_one_cause`); or a product of the effect with another signal, larger than its deviation from
+    (a larger one: `summed`); or a product of the effect with another signal, larger than its deviation from
     its form: then the effect does not have the form of the catalogue.
     """
     families = _generic(node)
-    if not families or not key:
+    if not families or not powers:
         return
     share = float(np.log(len(families)))
     hidden = float(logsumexp([min(each.tied, 0.0) for each in families])) - share
-    powers = dict.fromkeys(key, 0.0)
-    for index in kept(tree, node):
-        powers[node.fit.model.terms[index].name] += float(node.powers[index, index])
-    if node.variation is not None:
-        powers[FIELD_VARIATION] = node.of_field
     for name, power in powers.items():
         of_field = name == FIELD_VARIATION
         rest = [each for each in families if of_field or product_of(each.name) == name]
@@ -110,7 +140,8 @@ def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tu
         imitated = PRIOR.imitated - float(np.log(len(powers)))
         seen = float(logsumexp(large)) - share + (imitated if of_field else PRIOR.unknown)
         unseen = -np.inf if of_field else hidden + imitated
-        yield tuple(sorted(set(key) - {name})), float(np.logaddexp(seen, unseen))
+        others = tuple(sorted(set(powers) - {name}))
+        yield others, float(np.logaddexp(seen, unseen)), power + _mean_power(rest, least)
 
 
 def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
@@ -200,28 +231,33 @@ def names_of(tree: Tree, node: Node) -> frozenset[str]:
     return frozenset(key_of(tree, node)).intersection(TERMS)
 
 
-def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
-    """Return probabilities, with a share for an unknown effect alone that this comparison does not contain."""
-    weighed = _with_one_cause(logs)
-    total = logsumexp(list(weighed.values()))
-    result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in weighed.items()}
-    result[(), True] = result.get(((), True), 0.0) + PRIOR.unforeseen
-    return result
-
-
-def _with_one_cause(logs: Mapping[Set, float]) -> dict[Set, float]:
-    """Add, to each set, one cause outside the catalogue that resembles some of its effects together.
+def summed(each: Iterable[Weight]) -> dict[Set, float]:
+    """Return {set: log weight}, with the sets in which one cause outside the catalogue resembles some effects together.
 
     Such a cause becomes more probable with the number of effects that it replaces: each of them has its own prior, the
     cause only one. The field variation and effects on single samples are not replaced. Usually a part of such a cause
-    is also detected as an unknown effect.
+    is also detected as an unknown effect. A cause of which one effect explains all but the deviation from its form is
+    that effect.
     """
-    more: dict[Set, list[float]] = {key: [log] for key, log in logs.items()}
-    for (names, unknown), log in logs.items():
-        of_catalogue = [name for name in names if name in TERMS]
+    logs: dict[Set, list[float]] = {}
+    for one in each:
+        logs.setdefault((one.names, one.seen is not None), []).append(one.log)
+        of_catalogue, seen = [name for name in one.names if name in TERMS], one.seen or 0.0
         for count in range(1, len(of_catalogue) + 1):
-            odds = PRIOR.resembled + (count - 1) * PRIOR.each_more + (0.0 if unknown else PRIOR.all_named)
             for alike in combinations(of_catalogue, count):
-                others = tuple(name for name in names if name not in alike)
-                more.setdefault((others, True), []).append(log + odds)
-    return {key: float(logsumexp(each)) for key, each in more.items()}
+                powers = [one.powers.get(name, 0.0) for name in alike]
+                least = PRIOR.form * sum(powers)
+                if sum(powers) - max(powers) + seen <= least:
+                    continue
+                odds = PRIOR.resembled + (count - 1) * PRIOR.each_more + (0.0 if seen > least else PRIOR.all_named)
+                others = tuple(name for name in one.names if name not in alike)
+                logs.setdefault((others, True), []).append(one.log + odds)
+    return {key: float(logsumexp(values)) for key, values in logs.items()}
+
+
+def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
+    """Return probabilities, with a share for an unknown effect alone that this comparison does not contain."""
+    total = logsumexp(list(logs.values()))
+    result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in logs.items()}
+    result[(), True] = result.get(((), True), 0.0) + PRIOR.unforeseen
+    return result

@@ -13,6 +13,7 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.model.variants import Projector
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.score import held_out_gain, interleaved
 
@@ -42,8 +43,15 @@ def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[fl
     twin = with_it.twin
     rows, own = twin.base_columns, with_it.rows_of(index)
     value, _ = with_it.value_of(index)
-    residual = variation.whiten((twin.residual().ravel() - value @ rows[own])[None])[0]
-    base, columns = variation.whiten(np.delete(rows, own, axis=0)), variation.whiten(rows[own])
+    residual = variation.whiten((twin.residual().ravel() - value @ rows[own])[None])
+    # Other terms at a time of their own are held to the whole recording: one half may contain nothing of them.
+    terms = [active for active in twin.model.estimated for _ in active.value]
+    local = np.array([False] * int(twin.model.free.sum()) + [term.name in _OF_ITS_TIME for term in terms])
+    local[own] = False
+    others = np.delete(np.arange(len(rows)), own)
+    beside = Projector(variation.whiten(rows[local]))
+    base, columns = (beside(variation.whiten(rows[i])) for i in (others[~local[others]], own))
+    residual = beside(residual)[0]
     term, duration = twin.model.terms[index], float(twin.time[-1] - twin.time[0])
     length = min(TERMS[term.name].block(term.setting), duration / RULES.blocks)
     in_turn = held_out_gain(base, columns, residual, interleaved(twin.time, length))
