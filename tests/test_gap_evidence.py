@@ -17,7 +17,7 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
-from magyc_gtsam.gap.evidence.posterior import Weight, kept, normalised, summed, weights
+from magyc_gtsam.gap.evidence.posterior import SetWeight, kept, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
@@ -90,12 +90,12 @@ def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
     seen = 50.0 if unknown else None
     names = (FIELD_VARIATION, "cubic", "timing", "tone")
     powers = dict.fromkeys((*names, "gyro-scale"), 100.0)
-    stated = marginals(normalised(summed([Weight(names, 0.0, seen, powers)])))
+    stated = marginals(normalised(summed([SetWeight(names, 0.0, seen, powers)])))
     total = 1 + 2 * ratio[1] + ratio[2]
     share = 1 - PRIOR.unforeseen
     assert stated["cubic"] == pytest.approx(share * (1 + ratio[1]) / total)
     assert stated["tone"] == stated[FIELD_VARIATION] == pytest.approx(share)
-    three = marginals(normalised(summed([Weight(("cubic", "gyro-scale", "timing"), 0.0, seen, powers)])))
+    three = marginals(normalised(summed([SetWeight(("cubic", "gyro-scale", "timing"), 0.0, seen, powers)])))
     all_three = 1 + 3 * ratio[1] + 3 * ratio[2] + ratio[3]
     assert three["cubic"] == pytest.approx(share * (1 + 2 * ratio[1] + ratio[2]) / all_three)
 
@@ -104,7 +104,7 @@ def test_what_one_name_explains_but_for_its_form_is_that_effect() -> None:
     """A hundredth of the power beside it makes no other cause of it."""
     names = ("cubic", "timing")
     alike, large = (
-        marginals(normalised(summed([Weight(names, 0.0, None, {"timing": 1000.0, "cubic": power})])))["timing"]
+        marginals(normalised(summed([SetWeight(names, 0.0, None, {"timing": 1000.0, "cubic": power})])))["timing"]
         for power in (500.0, 10.0)
     )
     assert alike < large == pytest.approx(1 - PRIOR.unforeseen)
@@ -114,7 +114,7 @@ def test_a_small_unknown_effect_is_no_part_of_a_large_name() -> None:
     """What it explains must exceed the deviation of the name from its form."""
     least = PRIOR.form * 1000.0
     small, large = (
-        marginals(normalised(summed([Weight(("timing",), 0.0, seen, {"timing": 1000.0})])))["timing"]
+        marginals(normalised(summed([SetWeight(("timing",), 0.0, seen, {"timing": 1000.0})])))["timing"]
         for seen in (0.9 * least, 1.1 * least)
     )
     assert small > 0.97

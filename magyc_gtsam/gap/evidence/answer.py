@@ -12,7 +12,7 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
 from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, singles_of, smoothed, without
-from magyc_gtsam.gap.evidence.posterior import Set, Weight, key_of, normalised, summed, weights
+from magyc_gtsam.gap.evidence.posterior import Set, SetWeight, key_of, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of
@@ -109,9 +109,9 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
             if power > PRIOR.form * node.explained:
                 colour, key = colour_of(left), key_of(tree, node)
                 with_colour = tuple(sorted((*key, COLOUR)))
-                each.append(Weight(with_colour, node.log + PRIOR.named + colour.alike))
+                each.append(SetWeight(with_colour, node.log + PRIOR.named + colour.alike))
                 log = node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way
-                each.append(Weight(key, log, power))
+                each.append(SetWeight(key, log, power))
         if colour_of(tree.nodes[()].beside.left()).alike + PRIOR.named > max(0.0, tree.best.log - PRIOR.close):
             for names, (log, colour) in beside_colour(tree).items():
                 key = tuple(sorted((*names, COLOUR)))

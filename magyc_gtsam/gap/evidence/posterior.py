@@ -22,7 +22,7 @@ from magyc_gtsam.gap.scores.neighbours import product_of
 Set = tuple[tuple[str, ...], bool]  # names, and True if an unknown effect is present
 
 
-class Weight(NamedTuple):
+class SetWeight(NamedTuple):
     """The log weight of a set.
 
     Attributes:
@@ -38,22 +38,22 @@ class Weight(NamedTuple):
     powers: Mapping[str, float] = MappingProxyType({})
 
 
-def weights(tree: Tree) -> Iterator[Weight]:
+def weights(tree: Tree) -> Iterator[SetWeight]:
     """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect."""
     tried = tree.nodes.keys() | tree.refused
     for node in tree.nodes.values():
         key, powers = key_of(tree, node), _powers(tree, node)
         form, (foreign, seen) = _families(tree, node)
         log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
-        yield Weight(key, log, None, powers)
+        yield SetWeight(key, log, None, powers)
         if np.isfinite(foreign):
-            yield Weight(key, node.log + PRIOR.unknown + foreign, seen, powers)
+            yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
         for log, seen in _products(node):
-            yield Weight(key, node.log + log, seen, powers)
+            yield SetWeight(key, node.log + log, seen, powers)
         for less, log, seen in _imitated(tree, node, powers):
-            yield Weight(less, node.log + log, seen, powers)
+            yield SetWeight(less, node.log + log, seen, powers)
         for gain in node.moving:  # the only unknown effect that resembles a field of the place
-            yield Weight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
+            yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
         for each in node.found.values():  # sets that were not fitted, in linearised form
             more = tuple(sorted((*node.names, each.name)))
             if each.name in TERMS and each.name not in node.names and more not in tried:
@@ -61,7 +61,7 @@ def weights(tree: Tree) -> Iterator[Weight]:
                 if large.any():
                     log = node.log + PRIOR.named + logsumexp(each.by_scale[large])
                     with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each])}
-                    yield Weight(tuple(sorted({*key, each.name})), log, None, with_it)
+                    yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
 
 
 def _powers(tree: Tree, node: Node) -> dict[str, float]:
@@ -231,7 +231,7 @@ def names_of(tree: Tree, node: Node) -> frozenset[str]:
     return frozenset(key_of(tree, node)).intersection(TERMS)
 
 
-def summed(each: Iterable[Weight]) -> dict[Set, float]:
+def summed(each: Iterable[SetWeight]) -> dict[Set, float]:
     """Return {set: log weight}, with the sets in which one cause outside the catalogue resembles some effects together.
 
     Such a cause becomes more probable with the number of effects that it replaces: each of them has its own prior, the
