@@ -87,7 +87,7 @@ def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
     ratio = {count: float(np.exp(odds + (count - 1) * PRIOR.each_more)) for count in (1, 2, 3)}
     if not unknown:
         ratio[1] = 0.0  # nothing is left of a cause that one name explains
-    seen = 50.0 if unknown else None
+    seen = 100.0 if unknown else None
     names = (FIELD_VARIATION, "cubic", "timing", "tone")
     powers = dict.fromkeys((*names, "gyro-scale"), 100.0)
     stated = marginals(normalised(summed([SetWeight(names, 0.0, seen, powers)])))
@@ -111,8 +111,8 @@ def test_what_one_name_explains_but_for_its_form_is_that_effect() -> None:
 
 
 def test_a_small_unknown_effect_is_no_part_of_a_large_name() -> None:
-    """What it explains must exceed the deviation of the name from its form."""
-    least = PRIOR.form * 1000.0
+    """It must explain a quarter of what the name does."""
+    least = PRIOR.rest * 1000.0
     small, large = (
         marginals(normalised(summed([SetWeight(("timing",), 0.0, seen, {"timing": 1000.0})])))["timing"]
         for seen in (0.9 * least, 1.1 * least)
