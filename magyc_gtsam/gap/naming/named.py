@@ -86,7 +86,8 @@ def named(said: Answer, first: Look, base: Refit, short_term: SensorNoise) -> Na
         *_noise(said, first, fitted, stated),
         *_of_the_place(said.tree.best.variation, stated),
     ]
-    left = _family(said.tree) if _unnamed(posterior, rivals, given) > PRIOR.missing_from else ()
+    there = {name: rivals[name] for name in rivals if any(one.name == name for one in found)}
+    left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
     if drift_apart(fitted) or (left and "timing" not in rivals and drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
     return Named(said.recording, fitted.twin.problem, first, fitted, tuple(found), left, stated)
