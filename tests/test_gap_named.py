@@ -20,8 +20,9 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.field_variation import field_variation
+from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit
-from magyc_gtsam.gap.naming.named import named
+from magyc_gtsam.gap.naming.named import _each_once, _parts, named
 from magyc_gtsam.gap.outcome.outcome import gap_of
 from magyc_gtsam.gap.scores.look import Look, look
 from magyc_gtsam.report.gap_words import key_numbers
@@ -107,6 +108,19 @@ def test_the_variation_of_the_field_is_named_by_its_own_probability(
         gap = gap_by((first, said, base, noise), posterior)
         assert gap.names == (FIELD_VARIATION,)
         assert gap.verdict == verdict
+
+
+def test_one_step_ends_where_another_is() -> None:
+    """An object is taken off and another attached in the same window: there is one step, not two of the same form."""
+    on_and_off = Active("hard-iron-step", {"time": 20.0, "until": 60.0}, np.ones(3))
+    other = Active("hard-iron-step", {"time": 60.0}, np.ones(3))
+    late = Active("timing", {}, np.ones(1))
+    parts = _each_once(part for term in (on_and_off, late, other) for part in _parts(term))
+    assert [(part.name, part.setting.get("time")) for part in parts] == [
+        ("hard-iron-step", 20.0),
+        ("hard-iron-step", 60.0),
+        ("timing", None),
+    ]
 
 
 def test_a_field_that_varies_closes_the_gap() -> None:

@@ -8,7 +8,7 @@ is present: an effect that is not named, or one outside the catalogue.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
@@ -145,8 +145,13 @@ def _fitted(
     node = max((node for node in tree.nodes.values() if node.names[: len(given)] == given), key=fits)
     terms, strong = node.fit.model.terms, kept(tree, node)
     chosen = [t for i, t in enumerate(terms) if i < len(given) or (t.name in wanted and i in strong)]
-    model = replace(node.fit.model, terms=tuple(part for term in chosen for part in _parts(term)))
+    model = replace(node.fit.model, terms=_each_once(part for term in chosen for part in _parts(term)))
     return refit(node.fit.twin.problem, model, short_term)
+
+
+def _each_once(terms: Iterable[Active]) -> tuple[Active, ...]:
+    """Return terms without repetitions: one step may end where another one is."""
+    return tuple({(term.name, *sorted(term.setting.items())): term for term in terms}.values())
 
 
 def _best(tree: Tree, short_term: SensorNoise) -> Refit:
