@@ -114,13 +114,14 @@ def test_one_step_ends_where_another_is() -> None:
     """An object is taken off and another attached in the same window: there is one step, not two of the same form."""
     on_and_off = Active("hard-iron-step", {"time": 20.0, "until": 60.0}, np.ones(3))
     other = Active("hard-iron-step", {"time": 60.0}, np.ones(3))
-    late = Active("timing", {}, np.ones(1))
-    parts = _each_once(part for term in (on_and_off, late, other) for part in _parts(term))
+    late, time = Active("timing", {}, np.ones(1)), np.arange(100.0)
+    parts = _each_once(part for term in (on_and_off, late, other) for part in _parts(term, time))
     assert [(part.name, part.setting.get("time")) for part in parts] == [
         ("hard-iron-step", 20.0),
         ("hard-iron-step", 60.0),
         ("timing", None),
     ]
+    assert [part.setting["time"] for part in _parts(on_and_off, np.arange(50.0))] == [20.0]
 
 
 def test_a_field_that_varies_closes_the_gap() -> None:

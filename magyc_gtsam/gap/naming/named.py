@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
 from magyc_gtsam.gap.evidence.decision import marginals
@@ -145,7 +146,9 @@ def _fitted(
     node = max((node for node in tree.nodes.values() if node.names[: len(given)] == given), key=fits)
     terms, strong = node.fit.model.terms, kept(tree, node)
     chosen = [t for i, t in enumerate(terms) if i < len(given) or (t.name in wanted and i in strong)]
-    model = replace(node.fit.model, terms=_each_once(part for term in chosen for part in _parts(term)))
+    model = replace(
+        node.fit.model, terms=_each_once(part for term in chosen for part in _parts(term, node.fit.twin.time))
+    )
     return refit(node.fit.twin.problem, model, short_term)
 
 
@@ -160,13 +163,17 @@ def _best(tree: Tree, short_term: SensorNoise) -> Refit:
     return refit(fit.twin.problem, fit.model, short_term)
 
 
-def _parts(term: Active) -> Iterator[Active]:
-    """Yield the two steps of an object that is attached and taken off again; any other term as it is."""
+def _parts(term: Active, time: Array) -> Iterator[Active]:
+    """Yield the two steps of an object that is attached and taken off again; any other term as it is.
+
+    A step before the first or after the last of the windows' times (n,) cannot be seen.
+    """
     if "until" not in term.setting:
         yield term
         return
     for end, sign in (("time", 1.0), ("until", -1.0)):
-        yield replace(term, setting={"time": term.setting[end]}, value=sign * term.value)
+        if time[0] < term.setting[end] < time[-1]:
+            yield replace(term, setting={"time": term.setting[end]}, value=sign * term.value)
 
 
 def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]], first: Look) -> Iterator[Found]:
