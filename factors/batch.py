@@ -12,9 +12,8 @@ from magyc_gtsam.factors.entrance import Optimize
 from magyc_gtsam.factors.solver import View, predicted_decrease
 from magyc_gtsam.factors.warm_up import narrow, robust_blocks
 
-_WORTHLESS = (
-    0.005  # decrease of the error (half squared sigmas) that is not worth another round: a tenth of a sigma
-)
+# Decrease of the error (half squared sigmas) that is not worth another round: a tenth of a sigma.
+_WORTHLESS = 0.005
 
 
 class BatchSolution(NamedTuple):

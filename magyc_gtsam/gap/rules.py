@@ -32,23 +32,25 @@ class Rules:
     determined_by_data: float = 0.75
     # probability of any name by chance, all candidates together, in a recording without an effect
     family_wise: float = 0.01
-    farthest: float = 4.0  # prior standard deviations beyond which a value is not possible
+    # prior standard deviations beyond which a value is not possible; a scale that grew by 95 % per rad/s fitted a phone
+    # in a pocket
+    farthest: float = 4.0
     field_differs: float = 0.02  # of the field: a degree of heading
     field_varies: float = 5.0  # nats: twice the largest value of clean recordings (2.3)
     held_rows: float = 0.08  # share of rows that exactly repeat the one before
     late: float = 0.01  # rad of rotation
     longest_colour: float = 4.0  # s, correlation time above which colour is a drift of unknown cause
     lowest_bins: int = 5  # of the periodogram, too slow for a tone: they are drifts
-    # share of what is explained that counts as most of it: what a shifted channel may still explain before the shift is
-    # too short, and the repeated entries that chance must not explain (axes that pause together are not held)
-    most: float = 0.7
     moved: float = 2.0  # sigmas above which a parameter is reported as moved
     much: float = 60.0  # statistic above which an effect is removed before the colour is estimated
     one_way: float = 0.75  # share of the colour along one axis above which it is not noise
     rare: float = 0.05  # share of wrong samples; a larger one is another distribution of the noise
+    # share of the repeated entries that chance must not explain: axes that pause together are not held
+    repeats_left: float = 0.7
     span: float = 2.5  # widths within which a second bump belongs to the first
     spike: float = 4.5  # sigmas, exceeded by one normal vector in six thousand
     spikes_alone: float = 0.46  # share of the spikes, adjacent ones counted as one, that have no neighbour
+    too_slow: float = 0.7  # share that a shifted channel may still explain; with more the shift is too short
     unsure_line: float = 2.0  # nats added to the level of a line, because the floor below it is estimated
     worth_moving: float = 0.5  # root mean square change of the iron, in sigmas, above which it is changed
 

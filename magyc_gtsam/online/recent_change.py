@@ -169,9 +169,8 @@ def _changes(fit: Fit, chain: ContinuedChain, first: int, sigma: float) -> list[
     strength = float(np.cbrt(abs(np.linalg.det(unvech(soft_iron)))))
     iron, place = np.zeros((len(past.gradient), 12)), np.zeros((len(past.gradient), 3))
     iron[_IRON, :9] = sigma * np.eye(9)
-    iron[SKEW, 9:] = (
-        np.sqrt(0.5) * sigma / strength * np.eye(3)
-    )  # what is not symmetric of a soft iron turns the field
+    # What is not symmetric of a soft iron turns the field.
+    iron[SKEW, 9:] = np.sqrt(0.5) * sigma / strength * np.eye(3)
     place[:6, 0] = sigma / strength * soft_iron  # the strength of the field
     place[WITH_SKEW:, 1:] = sigma / strength * np.eye(2)  # its direction
     either = [

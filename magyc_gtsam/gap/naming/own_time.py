@@ -49,7 +49,7 @@ def in_its_own_time(fitted: Refit, index: int) -> bool:
     for shift in np.arange(1, _SHIFTS) / _SHIFTS:
         other = at(float(shift))
         held, shifted = other.unit @ explained, other.score(target)
-        if held @ held > RULES.most * (explained @ explained):
+        if held @ held > RULES.too_slow * (explained @ explained):
             continue
         others += 1
         as_good += bool(shifted @ shifted >= score @ score)

@@ -228,7 +228,9 @@ def sample_hold(recording: Recording) -> NoiseScore:
     share = _share_held(recording.time[own], repeats)
     together = repeats.all(axis=1)
     coarse = float(repeats.mean() - together.mean()) > RULES.alone_axis
-    held = share > max(RULES.held_rows, RULES.most * float(stale.mean())) and (not coarse or _regular(together))
+    held = share > max(RULES.held_rows, RULES.repeats_left * float(stale.mean())) and (
+        not coarse or _regular(together)
+    )
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
         "sample-hold",
