@@ -236,8 +236,8 @@ def summed(each: Iterable[SetWeight]) -> dict[Set, float]:
 
     Such a cause becomes more probable with the number of effects that it replaces: each of them has its own prior, the
     cause only one. The field variation and effects on single samples are not replaced. Usually a part of such a cause
-    is also detected as an unknown effect of a comparable power. A cause of which one effect explains all but the
-    deviation from its form is that effect.
+    is also detected as an unknown effect, and what the largest effect does not explain of it has a power comparable to
+    that effect's. A cause of which one effect explains all but the deviation from its form is that effect.
     """
     logs: dict[Set, list[float]] = {}
     for one in each:
@@ -246,10 +246,11 @@ def summed(each: Iterable[SetWeight]) -> dict[Set, float]:
         for count in range(1, len(of_catalogue) + 1):
             for alike in combinations(of_catalogue, count):
                 powers = [one.powers.get(name, 0.0) for name in alike]
-                power = sum(powers)
-                if power - max(powers) + seen <= PRIOR.form * power:
+                largest, power = max(powers), sum(powers)
+                rest = power - largest + seen
+                if rest <= PRIOR.form * power:
                     continue
-                hidden = 0.0 if seen > PRIOR.rest * power else PRIOR.all_named
+                hidden = 0.0 if seen > 0 and rest > PRIOR.rest * largest else PRIOR.all_named
                 odds = PRIOR.resembled + (count - 1) * PRIOR.each_more + hidden
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)

@@ -45,8 +45,8 @@ class Prior:
         all_named: log odds that nothing of such a cause is detected as unknown beside the effects that it resembles. A
             magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. It was chosen
             on editions 63 and 64, with `resembled` and `each_more` of 0.1 and 5 (0.5 and 3 now).
-        rest: power of an unknown effect, relative to that of names, from which it may be a part of one cause with them.
-            In six foreign recordings of edition 207 that resemble a name it is 0.7 to 4.
+        rest: power of the other effects and of what is unknown, relative to that of the largest effect, from which all
+            may be of one cause. In six foreign recordings of edition 207 that resemble one effect it is 0.7 to 4.
         shares: power of the rest of such a cause relative to the imitated effect, all equally probable.
         form: share of the power of an effect by which it may deviate from its form. No real effect has its catalogue
             form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
