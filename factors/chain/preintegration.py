@@ -143,7 +143,7 @@ class Preintegration:
             window = np.floor(ended[own] if same else np.interp(when, time, ended)).astype(np.int64)
             if len(ends):
                 window += np.searchsorted(ends, when, side="right")
-            starts.append(first + np.flatnonzero(np.diff(window, prepend=last)))
+            starts.append(first + np.flatnonzero(window != np.concatenate([[last], window[:-1]])))
             last = window[-1]
         return np.concatenate(starts)
 

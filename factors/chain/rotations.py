@@ -84,7 +84,7 @@ def chain(steps: Spinor) -> Spinor:
     if n == 0:
         return np.ones(1, complex), np.zeros(1, complex)
     if n < _SHORT:
-        p, q = np.insert(p, 0, 1.0), np.insert(q, 0, 0.0)
+        p, q = np.concatenate([[1.0], p]), np.concatenate([[0.0], q])
         reach = 1
         while reach <= n:  # doubling needs fewer calls
             p[reach:], q[reach:] = multiply((p[:-reach], q[:-reach]), (p[reach:], q[reach:]))

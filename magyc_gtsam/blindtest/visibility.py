@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.blindtest.scenarios import MOTIONS
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
@@ -79,7 +79,7 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
         name: name of the effect.
         seed: seed of the random numbers.
     """
-    level = short_term_noise(recording).magnetometer / _NOISE[0]
+    level = magnetometer_noise(recording) / _NOISE[0]
     if name == "tone":
         return float(level * np.sqrt(_SAMPLES / recording.magnetic_field_fresh.sum()))
     if name in OF_SAMPLES:

@@ -10,7 +10,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift, slowed, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.field_chain import DELAY, SKEW
@@ -69,7 +69,7 @@ def drift_of(online: SmootherState, recording: Recording, fit: Fit, trusted: boo
 def nothing_turned(recording: Recording) -> str:
     """Return the reason why there is nothing to fit; empty if the field varied by more than its noise."""
     field = recording.magnetometer.value
-    spread, noise = float(np.sqrt(field.var(axis=0).mean())), short_term_noise(recording).magnetometer
+    spread, noise = float(np.sqrt(field.var(axis=0).mean())), magnetometer_noise(recording)
     return "" if spread > _MOVED * noise else "too little motion: nothing turned yet"
 
 

@@ -74,7 +74,7 @@ def _spikes(value: Array, noise: Array, first: int) -> tuple[np.ndarray, np.ndar
     first = max(first, _BLOCK)
     before = np.arange(first, len(value)) // _BLOCK - 1
     change = np.abs(value[first:] - value[first - 1 : -1])
-    jumps = np.flatnonzero((change > _NOISES * noise[before]).any(axis=1))
+    jumps = np.unique(np.flatnonzero(change > (_NOISES * noise).take(before, axis=0)) // value.shape[1])
     if not len(jumps):
         return jumps, jumps
     decided = jumps[first + jumps + _BESIDE < len(value)]
@@ -88,14 +88,15 @@ def _noise_of_blocks(value: Array) -> Array:
     The estimate is a lower quartile, because spikes in 20 % of the samples affect half of the second differences. Zero
     differences, from samples that are held or cut off, carry no information on the noise and are excluded.
     """
-    blocks = value[: len(value) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, value.shape[1])
-    change = np.diff(blocks, axis=1)
-    second = np.abs(np.diff(change, axis=1))
-    place = np.count_nonzero(second, axis=1, keepdims=True) // 4
-    ordered = np.sort(np.where(second > 0, second, np.inf), axis=1)
-    quartile = np.take_along_axis(ordered, place, axis=1)[:, 0]
-    step = np.min(np.abs(change), axis=1, where=change != 0, initial=np.inf)
-    result: Array = np.maximum(quartile / _QUARTILE, step)
+    count = len(value) // _BLOCK
+    blocks = np.ascontiguousarray(value[: count * _BLOCK].T).reshape(-1, count, _BLOCK)
+    change = np.diff(blocks)
+    second = np.abs(np.diff(change))
+    place = np.count_nonzero(second, axis=2, keepdims=True) // 4
+    ordered = np.sort(np.where(second > 0, second, np.inf))
+    quartile = np.take_along_axis(ordered, place, axis=2)[..., 0]
+    step = np.where(change != 0, np.abs(change), np.inf).min(axis=2)
+    result: Array = np.maximum(quartile / _QUARTILE, step).T
     return result
 
 

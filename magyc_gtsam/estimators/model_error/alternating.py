@@ -45,19 +45,19 @@ def alternating(recording: Streams) -> Alternation | None:
     Each sample less the mean of its neighbours holds the alternation twice, and of motion its curvature, which does
     not alternate. Its mean over a block has the variance of white noise if there is no alternation.
     """
-    field = recording.magnetometer.value[:_MOST]
-    if len(field) < _LEAST:
+    field = np.ascontiguousarray(recording.magnetometer.value[:_MOST].T)  # one axis per row
+    if field.shape[1] < _LEAST:
         return None
-    apart = 0.5 * field[1:-1] - 0.25 * (field[:-2] + field[2:])
-    apart[1::2] *= -1
-    blocks = apart[: len(apart) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, 3)
-    mean = blocks.mean(axis=1)
+    apart = 0.5 * field[:, 1:-1] - 0.25 * (field[:, :-2] + field[:, 2:])
+    apart[:, 1::2] *= -1
+    blocks = apart[:, : apart.shape[1] // _BLOCK * _BLOCK].reshape(3, -1, _BLOCK)
+    mean = blocks.mean(axis=2)
     # By each block's own scatter: that of rounded readings is in a few blocks, where one is near a step.
-    inside = np.square(blocks - mean[:, None]).sum(axis=1)
+    inside = np.square(blocks - mean[:, :, None]).sum(axis=2)
     noise = inside / ((_BLOCK - 3) * _SHARE * _BLOCK)  # T², variance of `mean`
     square = np.square(mean)
     ratio = float(np.divide(square, noise, out=np.zeros_like(square), where=noise > 1e-30).mean())
     gain = 0.5 * mean.size * (ratio - 1 - np.log(ratio)) if ratio > 1 else 0.0
     if gain < _SIGNIFICANT:
         return None
-    return Alternation(mean.T @ mean / len(mean), gain)
+    return Alternation(mean @ mean.T / mean.shape[1], gain)

@@ -219,10 +219,9 @@ class WindowMotion:
         inverse = 1 / self._step
         rows = values.reshape(-1, len(self.time))
         rise = rows[:, 1:] - rows[:, :-1]
-        rise *= inverse
         slope = np.empty(rows.shape)
-        slope[:, 0], slope[:, -1] = rise[:, 0], rise[:, -1]
-        rise *= 3 * inverse
+        slope[:, 0], slope[:, -1] = rise[:, 0] * inverse[0], rise[:, -1] * inverse[-1]
+        rise *= 3 * inverse**2
         right = rise[:, 1:] + rise[:, :-1]
         right[:, 0] -= inverse[0] * slope[:, 0]
         right[:, -1] -= inverse[-1] * slope[:, -1]

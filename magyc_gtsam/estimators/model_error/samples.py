@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from magyc_gtsam.estimators.smoother.preparation import Streams, short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import Streams, magnetometer_noise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.sensor_faults.noise import white_noise
 
@@ -21,7 +21,7 @@ _BESIDE = 4  # neighbours on either side in the median after outliers were found
 _OFF = 6.0  # multiple of the median distance from which a sample is an outlier; four standard deviations of noise
 _ROUNDS = 2  # finds 98 to 100 % of a shift by 5 to 20 % of the samples; one round finds 94 to 99 %
 _ENOUGH = 2000  # samples used to find the step
-_ROUNDING = 1e-3  # share of the median change below which a change is rounding by a unit conversion and no step
+_ROUNDING = 1e-3  # share of the mean change below which a change is rounding by a unit conversion and no step
 # Ratio of step to noise. With normal noise of two fifths of a step, 4 % of the rounding error remains in a mean.
 _COARSE = 2.0
 _SEGMENT = 256  # samples per segment of the spectrum
@@ -113,8 +113,8 @@ def coarse_step(recording: Streams) -> float:
     change = change[change > 0]
     if not len(change):
         return 0.0
-    step = float(change[change > _ROUNDING * np.median(change)].min())
-    return step if step > _COARSE * short_term_noise(recording).magnetometer else 0.0
+    step = float(change[change > _ROUNDING * change.mean()].min())
+    return step if step > _COARSE * magnetometer_noise(recording) else 0.0
 
 
 def flickers(recording: Streams) -> str:
@@ -148,7 +148,8 @@ def _shares_of_two_values(values: Array) -> list[float]:
     step = high - low
     moving = int(_MOVING * count)
     typical = np.partition(step, moving, axis=1)[:, moving, None]
-    axis, block = np.nonzero((step > 0) & (step < _NARROW * typical))
+    middle = values[_BLOCK // 2 : count * _BLOCK : _BLOCK].T
+    axis, block = np.nonzero((step > 0) & (step < _NARROW * typical) & ((middle == low) | (middle == high)))
     if not len(axis):
         return result
     seen = values[block[:, None] * _BLOCK + np.arange(_BLOCK), axis[:, None]]

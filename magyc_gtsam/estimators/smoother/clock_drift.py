@@ -19,7 +19,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.options import MOST_DRIFT
-from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
@@ -141,7 +141,7 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
 
 def _explained(recording: Recording, fit: Fit) -> bool:
     """Return whether the residual of a fit is no larger than the magnetometer's own noise."""
-    return fit.chain.noise.magnetometer < _NOISY * short_term_noise(recording).magnetometer
+    return fit.chain.noise.magnetometer < _NOISY * magnetometer_noise(recording)
 
 
 def _measure(

@@ -59,14 +59,15 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
         rounds: most updates.
     """
     for _ in range(rounds):
-        weights = _reweigh(fit.chain, fit.residuals) if reject else fit.weights
+        residuals = fit.residuals
+        weights = _reweigh(fit.chain, residuals) if reject else fit.weights
         moved = float(
             np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
         )
         fit = replace(fit, weights=weights)
         noise, gain, freedom = fit.chain.noise, 0.0, fit.noise_freedom
         if short_term is not None:
-            noise, gain, freedom = improved_noise(fit, short_term)
+            noise, gain, freedom = improved_noise(fit, residuals, short_term)
         stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
         chain = replace(fit.chain, noise=noise)
         reduced = chain.eliminate(fit.state, weights)
@@ -87,14 +88,15 @@ def _reweigh(chain: FieldChain, residuals: Residuals) -> Weights:
     )
 
 
-def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, float, float]:
+def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> tuple[SensorNoise, float, float]:
     """Take one average-information step on the restricted likelihood of the two noise levels.
 
     Gilmour, Thompson and Cullis (1995). With Q the weighted squares of a group and D its redundancy
     (residuals less the trace of its block of the hat matrix; the two traces add up to the number of
     unknowns, so that only the windows' is computed), the gradient in log σ² is Q − D, and the average
     information [[Q₁ − c, c], [c, Q₂ − c]] needs one more solve: c = gᵀ K⁻¹ g, with g the gradient of one
-    group (at the minimum the other's is −g) and K the full normal matrix.
+    group (at the minimum the other's is −g) and K the full normal matrix. `residuals` are those of the fit; they do not
+    depend on its weights, so that they are shared with the update of these.
 
     The gyroscope's noise stays within a factor `_GYROSCOPE_RANGE` of its short-term noise, and the magnetometer's above
     a third of its own. Otherwise, in a field that varies (indoors, over a wreck), the likelihood would attribute all
@@ -104,7 +106,6 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
         The noise, the step's squared length in its own sigmas, and the links' redundancy D.
     """
     chain, weights, reduced = fit.chain, fit.weights, fit.reduced
-    residuals = fit.residuals
     window, link = chain.squares(residuals)
     covariance = fit.covariance
     if not np.isfinite(covariance).all():  # no residual depends on a parameter: the redundancies are undefined

@@ -54,14 +54,20 @@ class Streams(Protocol):
 
 def short_term_noise(recording: Streams) -> SensorNoise:
     """Estimate the noise per sample and axis from second differences, which smooth motion hardly affects."""
+    return SensorNoise(magnetometer_noise(recording), _noise(recording.gyroscope, 1e-6))
 
-    def level(samples: Samples, least: float) -> float:
-        value = samples.value
-        stride = len(value) // _TRIPLETS | 1  # odd: with two rows per interpolated sample the triplets hit both
-        second = value[2::stride] - 2 * value[1:-1:stride] + value[:-2:stride]
-        square = np.einsum("ni,ni->n", second, second) / 18
-        # Upper quartile of sqrt(χ²₃/3), because half of the differences are zero with drivers that interpolate.
-        upper = 3 * (len(square) - 1) // 4
-        return max(float(np.sqrt(np.partition(square, upper)[upper])) / 1.170, least)
 
-    return SensorNoise(level(recording.magnetometer, 1e-10), level(recording.gyroscope, 1e-6))
+def magnetometer_noise(recording: Streams) -> float:
+    """Return the magnetometer's part of `short_term_noise`, T."""
+    return _noise(recording.magnetometer, 1e-10)
+
+
+def _noise(samples: Samples, least: float) -> float:
+    value = samples.value
+    stride = len(value) // _TRIPLETS | 1  # odd: with two rows per interpolated sample the triplets hit both
+    first, middle, last = (np.ascontiguousarray(value[k : len(value) - 2 + k : stride].T) for k in range(3))
+    second = first - 2 * middle + last
+    square = np.einsum("in,in->n", second, second) / 18
+    # Upper quartile of sqrt(χ²₃/3), because half of the differences are zero with drivers that interpolate.
+    upper = 3 * (len(square) - 1) // 4
+    return max(float(np.sqrt(np.partition(square, upper)[upper])) / 1.170, least)

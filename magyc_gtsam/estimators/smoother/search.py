@@ -264,7 +264,7 @@ def _reintegrated(samples: Preintegration, fit: Fit) -> Fit:
 def moved(fit: Fit) -> bool:
     """Return whether bias or delay are so far from the point of integration that second-order terms matter."""
     windows, parameters = fit.chain.windows, fit.state.parameters
-    turned = np.einsum("ijn,j->in", windows.lever[:, :, windows.linked], parameters[9:12] - windows.bias)
+    turned = np.einsum("ijn,j->in", windows.lever, parameters[9:12] - windows.bias)[:, windows.linked]
     slid = windows.rotation_rate * (parameters[DELAY] - windows.delay)
     return bool(np.abs(turned).max(initial=0.0) > _MOVED or np.abs(slid).max() > _MOVED)
 

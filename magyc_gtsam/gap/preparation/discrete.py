@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.axes import arrangements, check
-from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
@@ -33,7 +33,7 @@ def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tupl
     if held.significant:
         recording = on_own_clock(recording)
     else:
-        recording = _with_all_entries(recording, short_term_noise(recording).magnetometer)
+        recording = _with_all_entries(recording, magnetometer_noise(recording))
     return recording, tuple(scores)
 
 
