@@ -141,8 +141,10 @@ def _disturbed(time: Array, weight: Array, window: float) -> Array:
     """Return the stretches (k, 2) s with a low running median of the weights, merged across short breaks; `window`, in
     s, is the length of the longest window.
     """
-    size = round(_LIMITS.smoothed / max(median(np.diff(time)), 1e-9)) | 1
-    low = np.flatnonzero(median_filter(weight, size, mode="nearest") < _LIMITS.disturbed)
+    low = np.flatnonzero(weight < _LIMITS.disturbed)
+    if len(low):
+        size = round(_LIMITS.smoothed / max(median(np.diff(time)), 1e-9)) | 1
+        low = np.flatnonzero(median_filter(weight, size, mode="nearest") < _LIMITS.disturbed)
     if not len(low):
         return np.empty((0, 2))
     breaks = np.flatnonzero(np.diff(time[low]) >= _LIMITS.shortest)
