@@ -9,6 +9,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.recording import Array
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.screen import may_be_faulty
+from magyc_gtsam.sensor_faults.spikes import _BESIDE, _BLOCK, _PIECE, has_spikes
 from magyc_gtsam.simulation import Simulation
 
 SENSORS = ("magnetic_field", "angular_rate")
@@ -65,3 +66,15 @@ def test_a_gyroscope_that_stays_at_its_full_scale(wide: Simulation) -> None:
     assert finding is not None
     assert finding.axes == "x"
     assert finding.count > 250
+
+
+@pytest.mark.parametrize("row", [_BLOCK, _PIECE + _BLOCK - 1, _PIECE + _BLOCK, 2 * _PIECE - _BESIDE - 1])
+def test_a_spike_is_found_in_any_piece_of_a_recording(row: int) -> None:
+    rate = np.random.default_rng(0).normal(0.0, 5e-3, (2 * _PIECE, 3))
+    assert not has_spikes(rate)
+    rate[row, 1] += 1.0
+    assert has_spikes(rate)
+
+
+def test_a_recording_shorter_than_a_block_has_no_spikes() -> None:
+    assert not has_spikes(np.random.default_rng(0).normal(0.0, 5e-3, (_BLOCK - 1, 3)))

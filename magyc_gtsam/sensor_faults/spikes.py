@@ -23,6 +23,7 @@ _RANK = 9
 # and 10 Hz, reach 13.5 and 27 in the half on which the thresholds were chosen (docs/fault_study.md).
 _SPREADS, _NOISES = 15.0, 30.0
 _BLOCK = 64  # samples from which the noise for the next block is estimated
+_PIECE = 256 * _BLOCK  # samples of a whole recording that are examined at a time, which bounds the memory
 _QUARTILE = 0.3186 * np.sqrt(
     6
 )  # lower quartile of absolute second differences of normal noise with unit deviation
@@ -63,7 +64,9 @@ class Spikes(SingleSamples):
 
 def has_spikes(value: Array) -> bool:
     """Return whether any sample of value (n, 3) is a spike."""
-    return len(_spikes(value, _noise_of_blocks(value), 0)[0]) > 0
+    starts = range(0, len(value) - _BLOCK, _PIECE)
+    pieces = (value[start : start + _BLOCK + _PIECE + _BESIDE] for start in starts)
+    return any(len(_spikes(piece, _noise_of_blocks(piece), _BLOCK)[0]) for piece in pieces)
 
 
 def _spikes(value: Array, noise: Array, first: int) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +92,7 @@ def _noise_of_blocks(value: Array) -> Array:
     differences, from samples that are held or cut off, carry no information on the noise and are excluded.
     """
     count = len(value) // _BLOCK
-    blocks = np.ascontiguousarray(value[: count * _BLOCK].T).reshape(-1, count, _BLOCK)
+    blocks = np.ascontiguousarray(value[: count * _BLOCK].T).reshape(value.shape[1], count, _BLOCK)
     change = np.diff(blocks)
     second = np.abs(np.diff(change))
     place = np.count_nonzero(second, axis=2, keepdims=True) // 4
