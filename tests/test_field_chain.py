@@ -257,6 +257,18 @@ def noisy_chain(n, interval_mean):
     return chain, ChainState(np.concatenate([soft_iron, hard_iron, np.zeros(4)]), direction)
 
 
+def test_directions_settle_where_the_readings_are_far_from_the_model():
+    """Readings of one to three times the field of the model: Gauss–Newton alone swings for ever."""
+    simulation = simulate("wide", duration=60, seed=3)
+    parameters = truth_parameters(simulation)
+    windows = samples_of(simulation.recording).integrate(parameters[9:12])
+    large = 2 + np.sin(np.linspace(0, 40, len(windows)))
+    away = parameters[6:9, None]
+    far = FieldChain(replace(windows, field=away + large * (windows.field - away)), NOISE)
+    _, reduced = far.settle(far.start(parameters), far.unweighted())
+    assert np.linalg.norm(reduced.half[:, -1]) < 1e-6 * np.sqrt(reduced.cost)
+
+
 def test_residuals_at_the_truth_are_as_likely_as_the_noise_says():
     """χ² of 3 per window and of 2 per link, neighbours independent."""
     n = 4000

@@ -91,6 +91,8 @@ def test_rivals_are_named_together(looked: Looked) -> None:
     assert gap.names == ("timing",)
     assert gap.effects[0].ambiguous_with == ("eddy-plane",)
     assert gap.verdict == "closed"
+    unlike = gap_by(looked, {(("timing",), False): 0.78, (("eddy-plane",), False): 0.04, ((), True): 0.18})
+    assert not unlike.names  # the likely one alone is not probable enough, and the other is not a rival
     apart = gap_by(looked, {(("timing",), False): 0.5, (("cubic",), False): 0.45, ((), True): 0.05})
     assert not apart.names  # the two are not confused with each other
     assert apart.verdict == "unknown"
@@ -107,6 +109,7 @@ def test_the_variation_of_the_field_is_named_by_its_own_probability(
         posterior = {((FIELD_VARIATION,), False): 1 - unknown, ((FIELD_VARIATION,), True): unknown}
         gap = gap_by((first, said, base, noise), posterior)
         assert gap.names == (FIELD_VARIATION,)
+        assert gap.effects[0].ambiguous_with == ("field-gradient",)  # there is no position
         assert gap.verdict == verdict
 
 

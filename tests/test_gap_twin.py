@@ -48,6 +48,20 @@ def test_innovations_are_white_where_the_model_is_right(twin: Twin) -> None:
     assert kstest(innovation.ravel(), "norm").pvalue > 1e-3
 
 
+@pytest.mark.parametrize("late", [0.0, 1e-4])
+def test_an_integration_near_by_serves_for_another_bias_and_delay(twin: Twin, late: float) -> None:
+    moved = twin.model.parameters.copy()
+    moved[9:12] += 4e-4
+    moved[12] += late
+    model = replace(twin.model, parameters=moved)
+    near, anew = Twin.of(twin.problem, model, twin), Twin.of(problem_of(twin.problem.recording), model)
+    assert near._integrated is twin._integrated
+    assert near.reduced.cost - twin.reduced.cost > 10
+    assert near.reduced.cost == pytest.approx(anew.reduced.cost, abs=0.02)
+    moved[9] += 2e-3
+    assert Twin.of(twin.problem, replace(model, parameters=moved), twin)._integrated is not twin._integrated
+
+
 def test_a_constant_error_of_the_rate_is_the_bias(twin: Twin) -> None:
     constant = np.eye(3)[:, :, None] * np.ones(len(twin.gyroscope.time))
     mine = twin.whiten(twin.on_gyroscope(constant))

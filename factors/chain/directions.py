@@ -64,13 +64,39 @@ class LinearDirections(NamedTuple):
         gradient[:, :-1] -= across[:, 0]
         return band, gradient
 
+    def curvature(self, field: Array) -> Array:
+        """Return what the sphere adds to the windows' second derivatives (n,), −(B M g) · r of whitened vectors.
+
+        Gauss–Newton leaves it out, and converges slowly or swings where a reading is far from the model. It is at
+        least minus half the smaller eigenvalue of the Gauss–Newton matrix, which so remains positive.
+
+        Args:
+            field: (3, n), of the `Sight`.
+        """
+        first, second, residual = self.window[:, 1], self.window[:, 2], self.window[:, 0]
+        one, other, mixed = (
+            np.einsum("in,in->n", a, b) for a, b in ((first, first), (second, second), (first, second))
+        )
+        smaller = 0.5 * (one + other) - np.hypot(0.5 * (one - other), mixed)
+        return np.maximum(-np.einsum("in,in->n", residual + field, residual), -0.5 * smaller)
+
+
+class Bend(NamedTuple):
+    """A non-linear sensor, linearised: reads `at` + answer (F − `at`) plus a constant in the data, for F = B u + h.
+
+    answer (3, n): ratio of a change of the reading to a change of the field, 0 where it clips; at (3, n): T.
+    """
+
+    answer: Array
+    at: Array
+
 
 class Sight(NamedTuple):
     """The linear model of the directions for given θ, noise and weights.
 
     matrix (3, 3): B; rotation (3, 3, n): M; scale (n,): whitening scale of the windows; field (3, n): mean(m) − h,
-    whitened; turn (3, 3, n − 1): rotation from one window to the next; link_scale (n − 1,); answer: see
-    `FieldChain`.
+    whitened; turn (3, 3, n − 1): rotation from one window to the next; link_scale (n − 1,); answer (3, n): see `Bend`,
+    None for a linear sensor.
     """
 
     matrix: Array
@@ -87,9 +113,9 @@ class Sight(NamedTuple):
         body = np.einsum("ijn,jkn->ikn", self.rotation, frame)
         body *= self.scale
         window = (self.matrix @ body.reshape(3, -1)).reshape(body.shape)
-        window[:, 0] -= self.field
         if self.answer is not None:
-            window[:, 1:] *= self.answer[:, None]
+            window *= self.answer[:, None]
+        window[:, 0] -= self.field
         # e = g' − E g.
         turned = np.einsum("ijn,jkn->ikn", self.turn, frame[:, :, :-1])
         turned *= scale

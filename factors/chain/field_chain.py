@@ -28,7 +28,7 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, SensorNoise, Weights
-from magyc_gtsam.factors.chain.directions import QuadraticPrior, Sight, stepped
+from magyc_gtsam.factors.chain.directions import Bend, QuadraticPrior, Sight, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices, right_jacobian, skew
@@ -51,8 +51,7 @@ class FieldChain:
     Args:
         windows: integrated windows; `windows.bias` and `.delay` are the linearisation points.
         noise: standard deviations per sample.
-        answer: (3, n) ratio of a change of the reading to a change of the field, where the sensor clips or is
-            non-linear.
+        bend: linearisation of the sensor, where it clips or is non-linear.
         facts: priors on θ.
 
     Attributes:
@@ -65,7 +64,7 @@ class FieldChain:
 
     windows: FieldWindows
     noise: SensorNoise
-    answer: Array | None = field(default=None, kw_only=True)
+    bend: Bend | None = field(default=None, kw_only=True)
     facts: tuple[Fact, ...] = field(default=(), kw_only=True)
     window_scale: Array = field(init=False)
     link_scale: Array = field(init=False)
@@ -95,8 +94,8 @@ class FieldChain:
 
     def part(self, first: int, stop: int) -> FieldChain:
         """Return the chain of the windows `first` ≤ n < `stop`, with the same facts."""
-        answer = None if self.answer is None else self.answer[:, first:stop]
-        return replace(self, windows=self.windows.part(first, stop), answer=answer)
+        bend = None if self.bend is None else Bend(*(each[:, first:stop] for each in self.bend))
+        return replace(self, windows=self.windows.part(first, stop), bend=bend)
 
     def unweighted(self) -> Weights:
         """Return weights that are all one."""
@@ -116,7 +115,10 @@ class FieldChain:
         """Return the unwhitened residuals of windows and links."""
         parameters, g = state
         body = np.einsum("ijn,jn->in", self.rotation(parameters), g)
-        window = iron_matrix(parameters) @ body + parameters[6:9, None] - self.windows.field
+        window = iron_matrix(parameters) @ body
+        if self.bend is not None:
+            window *= self.bend.answer
+        window -= self._target(parameters[6:9, None])
         turn = self.turn(parameters)
         return Residuals(window, g[:, 1:] - np.einsum("ijn,jn->in", turn, g[:, :-1]))
 
@@ -215,9 +217,16 @@ class FieldChain:
             # Exp(ε + δ) v = Exp(ε) (v + J δ × v), J the right Jacobian.
             axes = skew(right_jacobian(parameters[SKEW]).T)
             result[SKEW] = ((matrix @ axes).reshape(9, 3) @ body).reshape(3, 3, n)
-        if self.answer is not None:
-            result *= self.answer
+        if self.bend is not None:
+            result *= self.bend.answer
         return result
+
+    def _target(self, hard_iron: Array) -> Array:
+        """Return what B M g (3, n) T should be, times the answer of the sensor where it bends."""
+        if self.bend is None:
+            return self.windows.field - hard_iron
+        answer, at = self.bend
+        return self.windows.field + (answer - 1) * at - answer * hard_iron
 
     def move(self, state: ChainState, reduced: Reduced, step: Array) -> ChainState:
         """Return the state after a step on θ; the directions follow by back-substitution."""
@@ -236,6 +245,9 @@ class FieldChain:
         for _ in range(_SETTLING):
             linear = sight.at(state.direction)
             band, pull = linear.normal_equations()
+            curvature = linear.curvature(sight.field)
+            band[::2, 0] += curvature
+            band[1::2, 0] += curvature
             known = self._known(state, linear.basis)
             if known is not None:
                 known.onto_first(band, pull)
@@ -254,7 +266,7 @@ class FieldChain:
     def _sight(self, state: ChainState, weights: Weights) -> Sight:
         parameters = state.parameters
         scale = self.window_scale * np.sqrt(weights.window)
-        field = (self.windows.field - parameters[6:9, None]) * scale
+        field = self._target(parameters[6:9, None]) * scale
         return Sight(
             iron_matrix(parameters),
             self.rotation(parameters),
@@ -262,7 +274,7 @@ class FieldChain:
             field,
             self.turn(parameters),
             self.link_scale * np.sqrt(weights.link),
-            self.answer,
+            None if self.bend is None else self.bend.answer,
         )
 
     def _factor(self, band: Array) -> Array:

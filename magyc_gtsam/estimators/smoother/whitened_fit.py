@@ -69,8 +69,8 @@ class WhitenedFit:
     @cached_property
     def window_scale(self) -> Array:
         """(n,) or (3, n) 1/T, the factor that whitens columns of the windows."""
-        answer = self.fit.chain.answer
-        return self._residual_scale if answer is None else answer * self._residual_scale
+        bend = self.fit.chain.bend
+        return self._residual_scale if bend is None else bend.answer * self._residual_scale
 
     @cached_property
     def _residual_scale(self) -> Array:

@@ -26,11 +26,13 @@ from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, 
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term, without_term
 from magyc_gtsam.gap.model.variants import Projector
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
 FIELD_VARIATION = "field-variation"
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
 _FINER = 2  # rounds of refining a setting
+_BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +226,7 @@ class Tree:
         count = len(term.regressors(node.fit.twin, setting).window)
         try:
             model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
-            fit = refit(self._problem, model, None, node.fit.twin)
+            fit = refit(self._problem, model, None, node.fit.twin, _BEYOND * RULES.farthest)
         except MagycError:
             self.refused.add(key)
             return None

@@ -15,6 +15,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
+from magyc_gtsam.factors.chain.directions import Bend
 from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -30,9 +31,13 @@ _STILL = 1e-9  # standard deviation of a constant channel relative to its larges
 _PASSES = 20  # fixed-point iterations for gyroscope terms that read the true rate; most need three
 _CLOSE = 1e-7  # rad/s, change at which the iteration has converged
 _RUNAWAY = 10.0  # times the first change, beyond which the iteration diverges
-_BENT = 5  # iterations for non-linear magnetometer terms
+_ROUNDS = 5  # of the directions and the terms of the magnetometer, which depend on each other
+_AGREED = 1e-3  # rad, change of the directions below which a round is the last
 _NEARBY = 1e-8  # T, step of a numerical derivative
-_KEPT = 3  # cached integrations of one problem, for a search that alternates between models
+_KEPT = 4  # cached integrations of one problem, for a search that alternates between models
+# rad by which a change of bias and delay may turn the field within a window, up to which the first-order derivatives
+# of an integration replace a new one: the error is half its square, a hundredth of a window's noise
+_NEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +86,19 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Integrated:
-    """The gyroscope with terms subtracted, integrated at one bias and delay.
+    """The gyroscope with terms subtracted, integrated at one bias and delay, from which a model's may differ slightly.
 
     Attributes:
         samples: samples with the terms subtracted.
         rate: (3, G) true rate, rad/s.
         windows: field windows at the bias and delay.
+        mean_rate: (3, n) true rate, averaged over each window.
     """
 
     samples: Preintegration
     rate: Array
     windows: FieldWindows
+    mean_rate: Array
 
     @cached_property
     def errors(self) -> RateDerivatives:
@@ -116,7 +123,7 @@ class Problem:
     magnetometer: Signals
     gyroscope: Signals
     rate_noise: float
-    _kept: dict[Hashable, Integrated] = field(default_factory=dict, init=False, repr=False)
+    _kept: list[tuple[Hashable, Integrated]] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
     def of(cls, recording: Recording, samples: Preintegration) -> Problem:
@@ -128,6 +135,21 @@ class Problem:
             _others(recording, samples.gyroscope_time),
             short_term_noise(recording).gyroscope,
         )
+
+    @cached_property
+    def over_windows(self) -> Signals:
+        """The acceleration and the channels, averaged over each window."""
+        at = self.magnetometer
+        return Signals(
+            self.mean(at.time),
+            acceleration=None if at.acceleration is None else self.mean(at.acceleration),
+            channels={kind: self.mean(value) for kind, value in at.channels.items()},
+        )
+
+    @cached_property
+    def fastest(self) -> float:
+        """The largest rate of turn, rad/s."""
+        return float(np.sqrt((self.samples.angular_rate**2).sum(axis=1).max()))
 
     def mean(self, values: Array) -> Array:
         """Return the means (..., n) over the windows of values (..., M) at the magnetometer's samples."""
@@ -179,46 +201,44 @@ def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
 
 
 def _integrated(problem: Problem, model: Model) -> Integrated:
-    """Integrate the gyroscope with the bias, delay and terms of a model.
+    """Integrate the gyroscope near the bias and delay of a model, with its terms.
 
-    The result is cached: a change of the noise or a new term with value 0 needs the same integration.
+    The result is cached: a small step, a change of the noise or a new term with value 0 needs the same integration.
 
     Raises:
         MagycError: the terms are so large that a reading belongs to more than one rate.
     """
     bias, delay = model.parameters[9:12], float(model.parameters[DELAY])
     terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope" and t.value.any()]
-    key = (
-        bias.tobytes(),
-        delay,
-        *((t.name, tuple(sorted(t.setting.items())), t.value.tobytes()) for t in terms),
-    )
-    if key not in problem._kept:
-        rate = _true_rate(problem, terms, bias)
-        samples = problem.samples.with_rate((rate + bias[:, None]).T) if terms else problem.samples
-        while len(problem._kept) >= _KEPT:
-            del problem._kept[next(iter(problem._kept))]
-        problem._kept[key] = Integrated(samples, rate, samples.integrate(bias, delay))
-    return problem._kept[key]
+    key = tuple((t.name, tuple(sorted(t.setting.items())), t.value.tobytes()) for t in terms)
+    for place, (known, integrated) in enumerate(problem._kept):
+        at = integrated.windows
+        moved = problem.samples.length * np.abs(bias - at.bias).max() + problem.fastest * abs(delay - at.delay)
+        if known == key and moved < _NEAR:
+            problem._kept.append(problem._kept.pop(place))
+            return integrated
+    rate = _true_rate(problem, terms, bias)
+    samples = problem.samples.with_rate((rate + bias[:, None]).T) if terms else problem.samples
+    windows = samples.integrate(bias, delay)
+    when = problem.magnetometer.time - delay
+    mean_rate = problem.mean(np.stack([np.interp(when, problem.gyroscope.time, axis) for axis in rate]))
+    result = Integrated(samples, rate, windows, mean_rate)
+    problem._kept[:] = [*problem._kept[1 - _KEPT :], (key, result)]
+    return result
 
 
-def window_signals(problem: Problem, windows: FieldWindows, state: ChainState, rate: Array) -> Signals:
+def window_signals(problem: Problem, gyroscope: Integrated, state: ChainState) -> Signals:
     """Return the signals that the forms read, averaged over each window, at the values of the model."""
     parameters, g = state
     soft = unvech(parameters[:6])
-    rotation = windows.rotation
-    at = problem.magnetometer
-    gyro_time = problem.gyroscope.time
-    rates = np.stack([np.interp(at.time - parameters[DELAY], gyro_time, axis) for axis in rate])
-    return Signals(
-        windows.time,
+    rotation = gyroscope.windows.rotation_at(parameters[9:12], float(parameters[DELAY]))
+    return replace(
+        problem.over_windows,
         field=soft @ np.einsum("ijn,jn->in", rotation, g),
-        field_rate=-soft @ np.einsum("ijn,jn->in", windows.rotation_rate, g),
+        field_rate=-soft @ np.einsum("ijn,jn->in", gyroscope.windows.rotation_rate, g),
         hard_iron=parameters[6:9],
-        rate=problem.mean(rates),
+        rate=gyroscope.mean_rate,
         to_sensor=rotation,
-        acceleration=None if at.acceleration is None else problem.mean(at.acceleration),
-        channels={kind: problem.mean(value) for kind, value in at.channels.items()},
     )
 
 
@@ -229,15 +249,17 @@ def _added(terms: Sequence[Active], signals: Signals) -> Array:
     )
 
 
-def _answer(bent: Sequence[Active], signals: Signals) -> Array:
-    """Return the derivative (3, n) of the reading with respect to the field, which is 0 where the reading clips."""
+def _bend(bent: Sequence[Active], signals: Signals) -> Bend:
+    """Return the linearisation of the non-linear terms at the field of the signals."""
     field = signals.need("field")
     more, less = (_added(bent, replace(signals, field=field + step)) for step in (_NEARBY, -_NEARBY))
-    return 1 + (more - less) / (2 * _NEARBY)
+    return Bend(1 + (more - less) / (2 * _NEARBY), field + signals.need("hard_iron")[:, None])
 
 
-def build(problem: Problem, model: Model) -> tuple[FieldChain, ChainState, Reduced, Integrated]:
-    """Build the chain of a model and optimise its directions.
+def build(
+    problem: Problem, model: Model, near: tuple[ChainState, Integrated] | None = None
+) -> tuple[FieldChain, ChainState, Reduced, Integrated]:
+    """Build the chain of a model and optimise its directions, from those of a model near it if there is one.
 
     The terms of the magnetometer depend on the field of the model. Therefore the directions are optimised, the terms
     subtracted, and the directions optimised again; several times for non-linear terms, at which the reading is then
@@ -247,17 +269,22 @@ def build(problem: Problem, model: Model) -> tuple[FieldChain, ChainState, Reduc
         The chain, its state, its linearisation, and the integrated gyroscope.
     """
     gyroscope = _integrated(problem, model)
-    windows, rate = gyroscope.windows, gyroscope.rate
+    windows = gyroscope.windows
     plain = FieldChain(windows, model.noise)
     terms = [
         t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "magnetometer" and t.name != "timing"
     ]
-    chain_, state = plain, plain.start(model.parameters)
-    bent = model.bends
-    for _ in range(_BENT if bent else 2 if terms else 1):
+    # Directions are in the world of their integration.
+    same = near is not None and near[1] is gyroscope
+    state = ChainState(model.parameters, near[0].direction) if near and same else plain.start(model.parameters)
+    chain_, bent = plain, model.bends
+    for _ in range(_ROUNDS):
         if terms:
-            signals = window_signals(problem, windows, state, rate)
+            signals = window_signals(problem, gyroscope, state)
             corrected = replace(windows, field=windows.field - _added(terms, signals))
-            chain_ = FieldChain(corrected, model.noise, answer=_answer(bent, signals) if bent else None)
-        state, reduced = chain_.settle(chain_.start(model.parameters), chain_.unweighted())
+            chain_ = FieldChain(corrected, model.noise, bend=_bend(bent, signals) if bent else None)
+        before = state.direction
+        state, reduced = chain_.settle(state, chain_.unweighted())
+        if not terms or np.abs(state.direction - before).max() < _AGREED:
+            break
     return chain_, state, reduced, gyroscope

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -18,13 +20,14 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 _ROUNDS = 3  # of noise levels
+_REMEMBERED = 3  # earlier points of the acceleration
 _STEPS = 8  # Gauss–Newton steps in a round
-_SHORTER = (1.0, 0.5, 0.2, 0.05)  # shares of a step that are tried
+_DAMPED = (1e-2, 1e-1, 1.0, 10.0)  # Levenberg–Marquardt damping that is tried where a step fails
 _ROUNDING = 0.5  # error of a cost, from second-order terms of the rotations
 _GRID = 81  # deviations that are tried
 _FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear term
 _ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
-_SETTLED = 1e-3  # squared length of a step, in sigmas
+_SETTLED = 1e-2  # squared length of a step, in sigmas
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,13 @@ def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
     return value * deviations, covariance * np.outer(deviations, deviations)
 
 
-def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known: Twin | None = None) -> Refit:
+def refit(
+    problem: Problem,
+    model: Model,
+    short_term: SensorNoise | None,
+    known: Twin | None = None,
+    farthest: float = np.inf,
+) -> Refit:
     """Fit all parameters and terms jointly by Gauss–Newton, with noise levels estimated between the rounds.
 
     Args:
@@ -106,28 +115,34 @@ def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known:
         model: where to start.
         short_term: noise of the sensors from sample to sample; None keeps the model's noise levels.
         known: a twin of the same problem, which saves a linearisation if its model differs by new terms only.
+        farthest: prior standard deviations of a term's value from which the fit is given up.
 
     Raises:
-        MagycError: a term with an unbounded effect on the readings.
+        MagycError: a term with an unbounded effect on the readings, or a value beyond `farthest`.
     """
     converged = False
-    twin = (known and known.beside(model)) or Twin.of(problem, model)
+    twin = (known and known.beside(model)) or Twin.of(problem, model, known)
     covariance = np.zeros((0, 0))
     for _ in range(_ROUNDS if short_term is not None else 1):
+        path: list[tuple[Array, Array]] = []
         for _ in range(_STEPS):
             base = twin.base_columns
             precision, value = prior_of(twin)
             gradient = base @ twin.residual().ravel() - twin.base_score_bias + precision * value
             information = base @ base.T + np.diag(precision)
-            if not np.isfinite(information).all():
-                raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no finite fit")
+            if not np.isfinite(information).all() or (np.sqrt(precision) * np.abs(value)).max() > farthest:
+                raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no possible fit")
             covariance = _inverse(information)
             step = -covariance @ gradient
             length = float(step @ information @ step)
             converged = length < _SETTLED
             if converged:
                 break
-            ahead = _advance(problem, twin, step, twin.base_score_bias)
+            path = [*path[-_REMEMBERED:], (_values_of(model), step)]
+            damped = (
+                -_inverse(information + np.diag(damping * np.diag(information))) @ gradient for damping in _DAMPED
+            )
+            ahead = _advance(problem, twin, chain([_accelerated(path, information)], damped), twin.base_score_bias)
             if ahead is None:
                 return Refit(twin, covariance, False)
             twin = ahead
@@ -138,7 +153,7 @@ def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known:
         fit = adapt(Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, fixed), False, short_term)
         before, after = np.array(model.noise), np.array(fit.chain.noise)
         model = replace(model, noise=fit.chain.noise)
-        twin = Twin.of(problem, model)
+        twin = Twin.of(problem, model, twin)
         if np.abs(np.log(after / before)).max() < 3e-3:
             break
     return Refit(twin, covariance, converged)
@@ -172,15 +187,15 @@ def spread(value: Array, covariance: Array, prior: float) -> float:
     return float(deviation[np.argmax(likelihood), 0])
 
 
-def _advance(problem: Problem, twin: Twin, step: Array, score_bias: Array) -> Twin | None:
-    """Return the twin after a step, shortened until the cost does not rise; None if no step helps."""
-    for share in _SHORTER:
+def _advance(problem: Problem, twin: Twin, steps: Iterable[Array], score_bias: Array) -> Twin | None:
+    """Return the twin after the first step with which the cost does not rise; None if no step helps."""
+    for step in steps:
         try:
-            ahead = Twin.of(problem, _stepped(twin.model, share * step))
+            ahead = Twin.of(problem, _stepped(twin.model, step), twin)
         except MagycError:
             continue  # the step is too long: the chain cannot be factorised
         # The step includes the score bias of the gyroscope's terms (`Twin.rate_score_bias`), which the cost does not.
-        allowed = _cost(twin) + share * abs(float(score_bias @ step)) + _ROUNDING
+        allowed = _cost(twin) + abs(float(score_bias @ step)) + _ROUNDING
         for _ in range(_FOLLOWING if twin.model.bends else 0):
             if not allowed < _cost(ahead) < _ASTRAY * allowed:
                 break
@@ -188,6 +203,27 @@ def _advance(problem: Problem, twin: Twin, step: Array, score_bias: Array) -> Tw
         if np.isfinite(ahead.reduced.cost) and _cost(ahead) <= allowed:
             return ahead
     return None
+
+
+def _accelerated(path: Sequence[tuple[Array, Array]], information: Array) -> Array:
+    """Return the next step (q,) of Anderson's acceleration from the points (q,) so far and their Gauss–Newton steps.
+
+    Where the model does not explain the data, Gauss–Newton converges linearly, with steps that halve; the differences
+    of successive steps show where they lead.
+    """
+    points, steps = (np.array(each) for each in zip(*path, strict=True))
+    if len(path) == 1:
+        return steps[-1]
+    moved, changed = np.diff(points, axis=0), np.diff(steps, axis=0)
+    gram = changed @ information @ changed.T
+    share = np.linalg.lstsq(gram, changed @ information @ steps[-1], rcond=1e-10)[0]
+    result: Array = steps[-1] - share @ (moved + changed)
+    return result
+
+
+def _values_of(model: Model) -> Array:
+    """Return the values (q,) of the free parameters, then of the terms."""
+    return np.concatenate([model.parameters[model.free], *(term.value for term in model.estimated)])
 
 
 def _followed(problem: Problem, ahead: Twin) -> Twin | None:
@@ -201,7 +237,7 @@ def _followed(problem: Problem, ahead: Twin) -> Twin | None:
     step = np.zeros(len(ahead.base_columns))
     step[:count] = -_inverse(base @ base.T) @ (base @ ahead.residual().ravel())
     try:
-        return Twin.of(problem, _stepped(ahead.model, step))
+        return Twin.of(problem, _stepped(ahead.model, step), ahead)
     except MagycError:
         return None
 

@@ -71,9 +71,11 @@ class Twin:
     _filter: ForwardFilter
 
     @classmethod
-    def of(cls, problem: Problem, model: Model) -> Twin:
-        """Linearise a model on the data."""
-        chain, state, reduced, integrated = build(problem, model)
+    def of(cls, problem: Problem, model: Model, near: Twin | None = None) -> Twin:
+        """Linearise a model on the data, starting from the directions of a twin near it if there is one."""
+        chain, state, reduced, integrated = build(
+            problem, model, None if near is None else (near.state, near._integrated)
+        )
         gyroscope = Signals(
             problem.gyroscope.time,
             rate=integrated.rate,
@@ -86,7 +88,7 @@ class Twin:
             chain,
             state,
             reduced,
-            window_signals(problem, chain.windows, state, integrated.rate),
+            window_signals(problem, integrated, state),
             gyroscope,
             integrated,
             ForwardFilter.of(chain, reduced),

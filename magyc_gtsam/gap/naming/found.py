@@ -31,9 +31,9 @@ class Found:
     unsure: bool = False
 
 
-def as_found(score: NoiseScore) -> Found:
-    """Return a noise effect as an effect that was found."""
-    return Found(score.name, score.statistic, score.threshold, noise=score)
+def as_found(score: NoiseScore, rivals: tuple[str, ...] = ()) -> Found:
+    """Return an effect that changes no reading as an effect that was found."""
+    return Found(score.name, score.statistic, score.threshold, rivals, noise=score)
 
 
 def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:

@@ -17,12 +17,12 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects.world import GRADIENT
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
 from magyc_gtsam.gap.evidence.decision import marginals
 from magyc_gtsam.gap.evidence.posterior import Set, kept, names_of
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
-from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.problem import Active, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin
@@ -85,7 +85,7 @@ def named(said: Answer, first: Look, base: Refit, short_term: SensorNoise) -> Na
     found = [
         *_terms(fitted, len(given), rivals, first),
         *_noise(said, first, fitted, stated),
-        *_of_the_place(said.tree.best.variation, stated),
+        *_of_the_place(said.tree.best, stated),
     ]
     there = {name: rivals[name] for name in rivals if any(one.name == name for one in found)}
     left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
@@ -102,14 +102,18 @@ def _without(posterior: Mapping[Set, float], names: AbstractSet[str]) -> dict[Se
 
 
 def _probable(posterior: Mapping[Set, float], stated: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
-    """Return {effect that is named: its rivals}, the most probable first."""
+    """Return {effect that is named: its rivals}, the most probable first.
+
+    Of an effect and its rivals that are probable together only, the most probable one is named.
+    """
     result: dict[str, tuple[str, ...]] = {}
     for name in (name for name in stated if name in TERMS):
         others = [one for one in stated if one in TERMS and related(name, one) and one != name]
         rivals = tuple(one for one in others if _in_place_of(posterior, name, one))
         together = _any_of(posterior, {name, *rivals})
         said = {one for first, more in result.items() for one in (first, *more)}
-        if stated[name] > PRIOR.named_from or (together > PRIOR.named_from and said.isdisjoint({name, *rivals})):
+        most = said.isdisjoint({name, *rivals}) and all(stated[name] >= stated[one] for one in rivals)
+        if stated[name] > PRIOR.named_from or (most and together > PRIOR.named_from):
             result[name] = rivals
     return result
 
@@ -214,22 +218,22 @@ def _noise(said: Answer, first: Look, fitted: Refit, stated: Mapping[str, float]
     yield from (as_found(score) for score in scores if stated.get(score.name, 0.0) > PRIOR.named_from)
 
 
-def _of_the_place(variation: FieldVariation | None, stated: Mapping[str, float]) -> Iterator[Found]:
-    """Yield the variation of the field, an effect that changes no reading."""
+def _of_the_place(node: Node, stated: Mapping[str, float]) -> Iterator[Found]:
+    """Yield the variation of the field, an effect that changes no reading; without a position it may be a gradient."""
+    variation = node.variation
     if variation is not None and stated.get(FIELD_VARIATION, 0.0) > PRIOR.named_from:
         size = float(np.hypot(variation.along, variation.attitude))
-        yield as_found(
-            NoiseScore(
-                FIELD_VARIATION,
-                2 * variation.gain,
-                0.0,
-                variation.gain,
-                True,
-                np.array([size]),
-                np.array([0.5 * size]),  # the grid of amplitudes has octaves
-                {"period": variation.period, "attitude": variation.attitude},
-            )
+        test = NoiseScore(
+            FIELD_VARIATION,
+            2 * variation.gain,
+            0.0,
+            variation.gain,
+            True,
+            np.array([size]),
+            np.array([0.5 * size]),  # the grid of amplitudes has octaves
+            {"period": variation.period, "attitude": variation.attitude},
         )
+        yield as_found(test, (GRADIENT.name,) if GRADIENT.missing(node.fit.twin) else ())
 
 
 def _family(tree: Tree) -> tuple[str, ...]:
