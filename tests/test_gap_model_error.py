@@ -14,8 +14,9 @@ from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.model.descent import prior_of
 from magyc_gtsam.gap.model.problem import Active
-from magyc_gtsam.gap.model.refit import Refit, prior_of, refit, widened, with_term
+from magyc_gtsam.gap.model.refit import Refit, refit, widened, with_term
 from magyc_gtsam.gap.model.twin import Columns
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.judged import fit_of, judged

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -13,21 +11,15 @@ from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.model.descent import descended
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 _ROUNDS = 3  # of noise levels
-_REMEMBERED = 3  # earlier points of the acceleration
-_STEPS = 8  # Gauss–Newton steps in a round
-_DAMPED = (1e-2, 1e-1, 1.0, 10.0)  # Levenberg–Marquardt damping that is tried where a step fails
-_ROUNDING = 0.5  # error of a cost, from second-order terms of the rotations
+_SAME_NOISE = 3e-3  # change of the noise levels, relative, below which a round is the last
 _GRID = 81  # deviations that are tried
-_FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear term
-_ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
-_SETTLED = 1e-2  # squared length of a step, in sigmas
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +100,7 @@ def refit(
     known: Twin | None = None,
     farthest: float = np.inf,
 ) -> Refit:
-    """Fit all parameters and terms jointly by Gauss–Newton, with noise levels estimated between the rounds.
+    """Fit all parameters and terms jointly, with noise levels estimated between the rounds.
 
     Args:
         problem: the data.
@@ -120,42 +112,17 @@ def refit(
     Raises:
         MagycError: a term with an unbounded effect on the readings, or a value beyond `farthest`.
     """
-    converged = False
-    twin = (known and known.beside(model)) or Twin.of(problem, model, known)
-    covariance = np.zeros((0, 0))
-    for _ in range(_ROUNDS if short_term is not None else 1):
-        path: list[tuple[Array, Array]] = []
-        for _ in range(_STEPS):
-            base = twin.base_columns
-            precision, value = prior_of(twin)
-            gradient = base @ twin.residual().ravel() - twin.base_score_bias + precision * value
-            information = base @ base.T + np.diag(precision)
-            if not np.isfinite(information).all() or (np.sqrt(precision) * np.abs(value)).max() > farthest:
-                raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no possible fit")
-            covariance = _inverse(information)
-            step = -covariance @ gradient
-            length = float(step @ information @ step)
-            converged = length < _SETTLED
-            if converged:
-                break
-            path = [*path[-_REMEMBERED:], (_values_of(model), step)]
-            damped = (
-                -_inverse(information + np.diag(damping * np.diag(information))) @ gradient for damping in _DAMPED
-            )
-            ahead = _advance(problem, twin, chain([_accelerated(path, information)], damped), twin.base_score_bias)
-            if ahead is None:
-                return Refit(twin, covariance, False)
-            twin = ahead
-            model = twin.model
-        if short_term is None:
-            break
+    twin, covariance, converged = descended(
+        (known and known.beside(model)) or Twin.of(problem, model, known), farthest
+    )
+    for _ in range(_ROUNDS if short_term is not None else 0):
         fixed = np.zeros_like(model.free)
         fit = adapt(Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, fixed), False, short_term)
-        before, after = np.array(model.noise), np.array(fit.chain.noise)
-        model = replace(model, noise=fit.chain.noise)
-        twin = Twin.of(problem, model, twin)
-        if np.abs(np.log(after / before)).max() < 3e-3:
+        before, after = np.array(twin.model.noise), np.array(fit.chain.noise)
+        twin = Twin.of(problem, replace(twin.model, noise=fit.chain.noise), twin)
+        if np.abs(np.log(after / before)).max() < _SAME_NOISE:
             break
+        twin, covariance, converged = descended(twin, farthest)
     return Refit(twin, covariance, converged)
 
 
@@ -185,104 +152,6 @@ def spread(value: Array, covariance: Array, prior: float) -> float:
     widened = 1 + deviation**2 * known
     likelihood = 0.5 * (deviation**2 * score**2 / widened - np.log(widened)).sum(axis=1)
     return float(deviation[np.argmax(likelihood), 0])
-
-
-def _advance(problem: Problem, twin: Twin, steps: Iterable[Array], score_bias: Array) -> Twin | None:
-    """Return the twin after the first step with which the cost does not rise; None if no step helps."""
-    for step in steps:
-        try:
-            ahead = Twin.of(problem, _stepped(twin.model, step), twin)
-        except MagycError:
-            continue  # the step is too long: the chain cannot be factorised
-        # The step includes the score bias of the gyroscope's terms (`Twin.rate_score_bias`), which the cost does not.
-        allowed = _cost(twin) + abs(float(score_bias @ step)) + _ROUNDING
-        for _ in range(_FOLLOWING if twin.model.bends else 0):
-            if not allowed < _cost(ahead) < _ASTRAY * allowed:
-                break
-            ahead = _followed(problem, ahead) or ahead
-        if np.isfinite(ahead.reduced.cost) and _cost(ahead) <= allowed:
-            return ahead
-    return None
-
-
-def _accelerated(path: Sequence[tuple[Array, Array]], information: Array) -> Array:
-    """Return the next step (q,) of Anderson's acceleration from the points (q,) so far and their Gauss–Newton steps.
-
-    Where the model does not explain the data, Gauss–Newton converges linearly, with steps that halve; the differences
-    of successive steps show where they lead.
-    """
-    points, steps = (np.array(each) for each in zip(*path, strict=True))
-    if len(path) == 1:
-        return steps[-1]
-    moved, changed = np.diff(points, axis=0), np.diff(steps, axis=0)
-    gram = changed @ information @ changed.T
-    share = np.linalg.lstsq(gram, changed @ information @ steps[-1], rcond=1e-10)[0]
-    result: Array = steps[-1] - share @ (moved + changed)
-    return result
-
-
-def _values_of(model: Model) -> Array:
-    """Return the values (q,) of the free parameters, then of the terms."""
-    return np.concatenate([model.parameters[model.free], *(term.value for term in model.estimated)])
-
-
-def _followed(problem: Problem, ahead: Twin) -> Twin | None:
-    """Return the twin after one step of the twelve parameters with the terms fixed; None if the step fails.
-
-    A non-linear term and the iron compensate each other almost completely, along a curve: on the straight line between
-    two points of it the cost is higher than at both ends.
-    """
-    count = int(ahead.model.free.sum())
-    base = ahead.base_columns[:count]
-    step = np.zeros(len(ahead.base_columns))
-    step[:count] = -_inverse(base @ base.T) @ (base @ ahead.residual().ravel())
-    try:
-        return Twin.of(problem, _stepped(ahead.model, step), ahead)
-    except MagycError:
-        return None
-
-
-def _inverse(information: Array) -> Array:
-    """Return the covariance of parameters in any units; large in directions that the data do not determine."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    weight, vector = np.linalg.eigh(information * scale * scale[:, None])
-    result: Array = (vector / np.maximum(weight, 1e-13)) @ vector.T * scale * scale[:, None]
-    return result
-
-
-def prior_of(twin: Twin) -> tuple[Array, Array]:
-    """Return the prior precision (q,) of the free parameters and terms, and the present values (q,), with prior mean 0.
-
-    Values of a term that the motion does not determine stay near 0, as in a data sheet.
-    """
-    base = np.zeros(int(twin.model.free.sum()))
-    precision, values = [base], [base]
-    for term in twin.model.estimated:
-        own = TERMS[term.name]
-        held = own.deviations(twin, term.setting) / (term.prior or own.prior)
-        precision.append(np.broadcast_to(held**2, term.value.shape))
-        values.append(term.value)
-    return np.concatenate(precision), np.concatenate(values)
-
-
-def _cost(twin: Twin) -> float:
-    precision, value = prior_of(twin)
-    return float(twin.reduced.cost + 0.5 * precision @ value**2)
-
-
-def _stepped(model: Model, step: Array) -> Model:
-    parameters = model.parameters.copy()
-    count = int(model.free.sum())
-    parameters[model.free] += step[:count]
-    terms = []
-    for term in model.terms:
-        if term.name == "timing":
-            terms.append(replace(term, value=parameters[[DELAY]]))
-        else:
-            k = len(term.value)
-            terms.append(replace(term, value=term.value + step[count : count + k]))
-            count += k
-    return replace(model, parameters=parameters, terms=tuple(terms))
 
 
 def with_term(model: Model, term: Active) -> Model:

@@ -15,7 +15,8 @@ from magyc_gtsam.estimators.smoother.skew import skew_from_score
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.foreign_text import cause_and_action, clauses
-from magyc_gtsam.gap.model.refit import Refit, prior_of
+from magyc_gtsam.gap.model.descent import prior_of
+from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.result import Doubt
 from magyc_gtsam.recording import Recording
