@@ -9,9 +9,10 @@ also be given as MCAP. BROAD trials are calibrated whole and in their moving par
 error of one sentence, exit code 2.
 
 An error counts against the stated covariance, the truth's own and the scatter of one unit's hard iron from trial to
-trial. A trial with translation has a weak truth of its own: it is judged by its unit's rotation trials. The truth of
-the gyroscope's bias is the optical rotation over half-second intervals, with a matrix and the gyroscope's own lag
-beside it: the delay of the truth is behind the cameras, the calibration's behind the gyroscope.
+trial. A trial with translation has a weak truth of its own: it is judged by its unit's rotation trials. The truth of a
+trial with a magnet that is attached and taken off is with the magnet: jumps before the middle of the motion count. The
+truth of the gyroscope's bias is the optical rotation over half-second intervals, with a matrix and the gyroscope's own
+lag beside it: the delay of the truth is behind the cameras, the calibration's behind the gyroscope.
 """
 
 from __future__ import annotations
@@ -105,13 +106,18 @@ def judge(log: Log, part: str, method: Method, recording: mg.Recording, logs: li
     calibration = method(recording)
     seconds = time.process_time() - begun
     stated = calibration.covariance
+    jumped = [
+        term for term in calibration.terms if term.name == "hard-iron-step" and term.setting["time"] < log.middle
+    ]
+    hard_iron = calibration.hard_iron + sum((term.value for term in jumped), np.zeros(3))
+    own_covariance = stated[6:9, 6:9] + sum((term.covariance for term in jumped), np.zeros((3, 3)))
     errors = {
-        "hard iron": (calibration.hard_iron - log.hard_iron) * 1e6,
+        "hard iron": (hard_iron - log.hard_iron) * 1e6,
         "gyroscope bias": (calibration.gyro_bias - log.bias) * 1e3,
         "delay": np.array([calibration.delay - log.delay]) * 1e3,
     }
     covariances = {
-        "hard iron": (stated[6:9, 6:9] + log.covariance) * 1e12,
+        "hard iron": (own_covariance + log.covariance) * 1e12,
         "gyroscope bias": (stated[9:12, 9:12] + log.bias_covariance) * 1e6,
         "delay": np.array([[(calibration.delay_sigma or 0.0) ** 2 + DELAY_TRUTH**2]]) * 1e6,
     }

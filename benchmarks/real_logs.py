@@ -45,6 +45,11 @@ class Log:
     bias_covariance: Array
     moving: tuple[float, float] | None
 
+    @property
+    def middle(self) -> float:
+        """The middle of the motion, s."""
+        return float(np.mean(self.moving or self.recording.time[[0, -1]]))
+
 
 def read_all(folder: Path, more: list[Path]) -> Iterator[Log]:
     """All recordings with a truth, by name; the hard iron of translation trials from their unit's rotation trials."""
