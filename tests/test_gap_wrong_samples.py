@@ -11,6 +11,8 @@ import pytest
 from scipy.signal import lfilter
 
 import magyc_gtsam as mg
+from magyc_gtsam.blindtest.generator import generate
+from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.gap.scores.look import NOISE_LIMIT
@@ -113,3 +115,14 @@ def test_a_real_misfit_neither_makes_nor_hides_them(shared_data: Path) -> None:
     stepped = mg.find_gap(rounded, candidates=candidates)
     assert "quantisation" in stepped.names
     assert "spikes" not in stepped.names
+
+
+def test_a_step_of_a_coarse_resolution_is_not_a_wrong_sample() -> None:
+    """Far from the next reading, the noise passes a step of 6 µT rarely, and then by a step."""
+    hidden = Scenario("x", "single", "wide", 151496623810230, (("quantisation", 2.0),))
+    recording = generate(hidden).recording
+    assert mg.find_gap(recording).names == ("quantisation",)
+    field = recording.magnetic_field.copy()
+    field[100::200] += [36e-6, -24e-6, 18e-6]
+    gap = mg.find_gap(replace(recording, magnetic_field=field), candidates=["quantisation", "spikes"])
+    assert set(gap.names) == {"quantisation", "spikes"}

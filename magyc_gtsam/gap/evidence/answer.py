@@ -78,7 +78,10 @@ def answer(
             score, known = found[name], said.get(name, -np.inf)
             odds = log_odds(score)
             form = score.statistic < PRIOR.form * tree.best.of_field
-            if name not in names or (known > 0 and name != "tone") or odds < PRIOR.hardly_single or form:
+            # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
+            rounded = stepped and name == "spikes" and score.value[0] < coarse.value[0]
+            known_too = known > 0 and name != "tone"
+            if name not in names or known_too or odds < PRIOR.hardly_single or form or rounded:
                 continue
             said[name] = max(odds, known)
             if odds > 0:
