@@ -36,7 +36,7 @@ _AGREED = 1e-3  # rad, change of the directions below which a round is the last
 _NEARBY = 1e-8  # T, step of a numerical derivative
 _KEPT = 4  # cached integrations of one problem, for a search that alternates between models
 # rad by which a change of bias and delay may turn the field within a window, up to which the first-order derivatives
-# of an integration replace a new one: the error is half its square, a hundredth of a window's noise
+# of an integration replace a new one: the error is half its square, where the noise of a window is milliradians
 _NEAR = 1e-3
 
 

@@ -32,7 +32,7 @@ class Found:
 
 
 def as_found(score: NoiseScore, rivals: tuple[str, ...] = ()) -> Found:
-    """Return an effect that changes no reading as an effect that was found."""
+    """Return an effect on the noise, or the variation of the field, as an effect that was found."""
     return Found(score.name, score.statistic, score.threshold, rivals, noise=score)
 
 
