@@ -43,7 +43,11 @@ class MountingLimits:
         perhaps: evidence above which the graph is solved with the mounting free.
         evidence: evidence of that solution above which the mounting counts as wrong.
         least: rad, smallest rotation that is reported.
-        growth: factor of the number of blocks between two solutions.
+        share: largest information of a block relative to that of the solver, which contains it, along any direction.
+            It exceeds 1 where a solver has linearised its Python factors elsewhere: by 0.12 on a graph whose heading
+            is known, by hundreds while it turns. Such a block is left out.
+        lever: rad/rad, largest entry of D on an attitude. In a graph whose tilt is not determined D would grow without
+            bound; it then starts at zero again.
     """
 
     prior: float = math.radians(2.0)
@@ -51,6 +55,8 @@ class MountingLimits:
     perhaps: float = 10.0
     evidence: float = 1e5
     least: float = math.radians(1.0)
+    share: float = 1.01
+    lever: float = 10.0
     growth: float = 1.25
 
 
@@ -85,12 +91,18 @@ class HeldMounting:
         p = len(covariance)
         shift = self._carried(axis, p)
         on_keys, crossed = gram[:p, :p], gram[:p, p : p + 3]
+        if np.linalg.eigvals(covariance @ on_keys).real.max() > self.limits.share:
+            return
         pulled = crossed - on_keys @ shift  # Jᵀ G
         if counts:
             square = gram[p : p + 3, p : p + 3] - shift.T @ crossed - pulled.T @ shift  # Gᵀ G
             self._information = self._information + square - pulled.T @ covariance @ pulled
             self._score = self._score + gram[p : p + 3, -1] - shift.T @ gram[:p, -1]
-        self.shift, self._axis = shift + covariance @ pulled, axis
+        shift = shift + covariance @ pulled
+        self.shift = (
+            shift if np.abs(shift[: len(axis)]).max(initial=0.0) < self.limits.lever else np.zeros_like(shift)
+        )
+        self._axis = axis
         self.blocks += 1
 
     def _carried(self, axis: Array, columns: int) -> Array:

@@ -8,20 +8,29 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.keyframe_field import KeyframeField
+from magyc_gtsam.factors.pose import sensor_rotation
+from magyc_gtsam.factors.units import check_rates, check_readings
+from magyc_gtsam.factors.variables import Array
 
 
 class KeyframeBuffer:
     """Collects the samples of both sensors as they arrive and cuts a block at each keyframe.
 
+    A sample that is refused is not added, so that an application may catch the error and go on.
+
     Args:
         body_R_sensor: magnetometer→body.
         delay: s by which the magnetometer lags the gyroscope.
         interval_mean: whether the rates are means since the previous stamp.
+
+    Raises:
+        MagycError: a mounting that is no rotation.
     """
 
     def __init__(
         self, *, body_R_sensor: gtsam.Rot3 | None = None, delay: float = 0.0, interval_mean: bool = False
     ) -> None:
+        sensor_rotation(body_R_sensor)  # refused here, before any sample is lost
         self._mounting, self._delay, self._interval_mean = body_R_sensor, delay, interval_mean
         self._field_time: list[float] = []
         self._field: list[list[float]] = []
@@ -32,21 +41,28 @@ class KeyframeBuffer:
         """Add a magnetometer sample, s and (3,) T, or a block, (N,) and (N, 3).
 
         Raises:
-            MagycError: stamps and samples do not match.
+            MagycError: stamps and samples do not match, a value is not finite, the unit is implausible, or a stamp
+                lies before that of an earlier sample.
         """
         stamps, samples = _block("add_field", time, magnetic_field)
-        self._field_time += [stamp - self._delay for stamp in stamps]
-        self._field += samples
+        check_readings("add_field", samples)
+        stamps -= self._delay
+        _check_order("add_field", stamps, self._field_time, strictly=False)
+        self._field_time += stamps.tolist()
+        self._field += samples.tolist()
 
     def add_rate(self, time: ArrayLike, angular_rate: ArrayLike) -> None:
         """Add a gyroscope sample, s and (3,) rad/s in the body frame, or a block, (N,) and (N, 3).
 
         Raises:
-            MagycError: stamps and samples do not match.
+            MagycError: stamps and samples do not match, a value is not finite, the unit is implausible, or a stamp
+                is not after those of all earlier samples.
         """
         stamps, samples = _block("add_rate", time, angular_rate)
-        self._rate_time += stamps
-        self._rate += samples
+        check_rates("add_rate", samples)
+        _check_order("add_rate", stamps, self._rate_time, strictly=True)
+        self._rate_time += stamps.tolist()
+        self._rate += samples.tolist()
 
     def close(self, keyframe: float, bias: ArrayLike = (0.0, 0.0, 0.0)) -> KeyframeField:
         """Return the block of all magnetometer samples that the gyroscope covers; keep later samples and drop earlier
@@ -80,12 +96,26 @@ class KeyframeBuffer:
         return block
 
 
-def _block(name: str, time: ArrayLike, value: ArrayLike) -> tuple[list[float], list[list[float]]]:
-    """Return stamps and samples of one sample or a block."""
-    stamps, samples = np.asarray(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
+def _block(name: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Array]:
+    """Return stamps (N,) and samples (N, 3) of one sample or a block."""
+    stamps, samples = np.array(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
     if stamps.ndim > 1 or samples.shape != (*stamps.shape, 3):
         raise MagycError(
             f"{name}: samples of shape {samples.shape} for stamps of shape {stamps.shape}, expected "
             "(3,) for a number, or (N, 3) for (N,)"
         )
-    return np.atleast_1d(stamps).tolist(), np.atleast_2d(samples).tolist()
+    if not (np.isfinite(stamps).all() and np.isfinite(samples).all()):
+        raise MagycError(f"{name}: a stamp or a value is not finite; leave such samples out")
+    return np.atleast_1d(stamps), np.atleast_2d(samples)
+
+
+def _check_order(name: str, stamps: Array, before: list[float], *, strictly: bool) -> None:
+    """Raise an error for stamps that do not follow each other and those before."""
+    step = np.diff(np.r_[before[-1:], stamps])
+    back = np.flatnonzero(step <= 0 if strictly else step < 0)
+    if len(back):
+        at = stamps[len(stamps) - len(step) + back[0]]
+        raise MagycError(
+            f"{name}: the sample at {at:g} s comes after one at {at - step[back[0]]:g} s; add samples in the order "
+            "of their stamps, and leave out those that are late"
+        )

@@ -126,7 +126,8 @@ def keyframe_field_factor(
         field_unit: T per unit of the keys h and f.
 
     Raises:
-        MagycError: neither or both of `field` and `field_key`, implausible units, or numbers that are not finite.
+        MagycError: neither or both of `field` and `field_key`, `tuning` without `robust`, implausible units, or
+            numbers that are not finite.
     """
     name = "keyframe field"
     if isinstance(noise, gtsam.noiseModel.Base):
@@ -134,6 +135,8 @@ def keyframe_field_factor(
             f"{name}: `noise` is a noise model; give the standard deviation of a sample in T, a number, which the "
             "block whitens by itself (for outliers `robust`)"
         )
+    if tuning is not None and robust is None:
+        raise MagycError(f"{name}: `tuning` without `robust`; name the kernel")
     check_noise(name, standard_deviation(noise))
     check_rate_noise(name, gyroscope_noise)
     known = known_field(name, field, field_key, field_unit, strength=True)

@@ -102,6 +102,8 @@ class KeyframeField:
         field = measured("magnetic field", magnetometer[1], (len(when), 3))
         time = measured("gyroscope time", gyroscope[0], (None,))
         rate = measured("angular rate", gyroscope[1], (len(time), 3))
+        if isinstance(bias, gtsam.imuBias.ConstantBias):
+            raise MagycError("keyframe field: `bias` is a ConstantBias; give its gyroscope part, bias.gyroscope()")
         b = measured("bias", bias, (3,))
         check_readings("keyframe field", field)
         check_rates("keyframe field", rate)
@@ -214,7 +216,8 @@ def _about(
         ΔR (3, 3, n), K (3, 3, n) in s, the bias-free rate (n, 3) in rad/s, and `KeyframeField.spread`.
     """
     first = max(int(np.searchsorted(time, min(keyframe, when.min()), side="right")) - 1, 0)
-    last = int(np.searchsorted(time, max(keyframe, when.max()))) + 1
+    last = max(int(np.searchsorted(time, max(keyframe, when.max()))) + 1, first + 2)
+    first = min(first, len(time) - 2)  # a block at a single stamp still needs one step of the gyroscope
     time, rate = time[first:last], rate[first:last]
     asked = np.append(when, keyframe)
     at = np.searchsorted(time, asked)

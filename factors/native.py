@@ -153,6 +153,7 @@ class NativeFactors:
         """
         for count in range(rounds):
             view = View(solver)
+            self._forget(view)
             renewed = self._renew(self._delivered, view)
             if not renewed:
                 return count

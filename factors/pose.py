@@ -71,7 +71,14 @@ def check_unit(field_unit: float) -> None:
 
 def sensor_rotation(body_R_sensor: gtsam.Rot3 | None) -> Array:
     """Return ᵇRₛ (3, 3), sensor→body; None is the identity."""
-    return np.eye(3) if body_R_sensor is None else body_R_sensor.matrix()
+    if body_R_sensor is None:
+        return np.eye(3)
+    if not isinstance(body_R_sensor, gtsam.Rot3):
+        raise MagycError(
+            f"body_R_sensor is a {type(body_R_sensor).__name__}; give a gtsam.Rot3, for example "
+            "gtsam.Rot3(matrix) of a (3, 3) matrix"
+        )
+    return body_R_sensor.matrix()
 
 
 def given_keys(*pairs: tuple[int | None, Variable]) -> list[tuple[int, Variable]]:

@@ -248,6 +248,39 @@ def test_buffer_takes_samples_in_blocks():
         together.add_field(recording.time[:3], recording.magnetic_field[:2])
 
 
+def test_buffer_goes_on_after_a_sample_that_is_refused():
+    recording = simulate("wide", 4.0, 20, 2).recording
+    time, field, rate = recording.time, recording.magnetic_field, recording.angular_rate
+    whole, disturbed = KeyframeBuffer(), KeyframeBuffer()
+    for rows in (slice(0, 40), slice(40, 80)):
+        for buffer in (whole, disturbed):
+            buffer.add_rate(time[rows], rate[rows])
+            buffer.add_field(time[rows], field[rows])
+        for late, wrong, message in (
+            (time[rows][-1] + 0.01, [np.nan, 0, 0], "not finite"),
+            (time[rows][-1] + 0.01, [80.0, 0, 0], "likely unit"),
+            (time[rows][0], [0, 0, 0], "in the order"),
+        ):
+            with pytest.raises(MagycError, match=message):
+                disturbed.add_rate(late, wrong)
+            with pytest.raises(MagycError, match=message):
+                disturbed.add_field(late, wrong)
+        end = time[rows][-1]
+        np.testing.assert_array_equal(disturbed.close(end).design, whole.close(end).design)
+
+
+def test_a_block_of_one_sample_at_its_keyframe_is_finite():
+    recording = simulate("wide", 4.0, 20, 2).recording
+    for row in (0, 3, 79):
+        single = KeyframeField.from_samples(
+            (recording.time[[row]], recording.magnetic_field[[row]]),
+            (recording.time, recording.angular_rate),
+            recording.time[row],
+        )
+        np.testing.assert_allclose(single.design[0, :, :3], np.eye(3), atol=1e-12)
+        assert single.spread == 0.0
+
+
 @pytest.mark.parametrize(
     "call",
     [
@@ -257,6 +290,8 @@ def test_buffer_takes_samples_in_blocks():
         lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 1e-6),
         lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 1e-6, field=FIELD, field_key=F(0)),
         lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 0.0, field=FIELD),
+        lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 1e-6, field=FIELD, tuning=2.0),
+        lambda: KeyframeBuffer(body_R_sensor=np.eye(3)),
         lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 1e-6, field=FIELD[:2]),
         lambda: block().compressed().with_delay(),
         lambda: KeyframeBuffer().close(0.0),
@@ -448,6 +483,10 @@ def test_fixed_lag_smoothers(survey, batch, smoother, native):
             kept.update(solver, graph, new, stamps)
         else:
             solver.update(graph, new, stamps)
+    if native:  # the settling forgets blocks that have left the lag since the last update
+        kept.update(solver, gtsam.NonlinearFactorGraph(), None, dict.fromkeys(stamps, survey.count + 18.0))
+        assert not solver.calculateEstimate().exists(X(survey.count - 3))
+        kept.settle(solver)
     found = solver.calculateEstimate()
     assert not found.exists(X(10))
     # What left the lag early was linearised far from the truth, native ones at once: within these sigmas.

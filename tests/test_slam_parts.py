@@ -122,6 +122,19 @@ def test_the_evidence_for_a_turned_mounting_is_that_of_a_joint_fit():
     assert held.evidence == pytest.approx(0.5 * (free - without), rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("claimed", "on_turn", "blocks", "lever"), [(900.0, 1e-3, 0, 0.0), (0.9, 1e-3, 1, 0.9), (0.9, 1.0, 1, 0.0)]
+)
+def test_a_mounting_is_not_judged_by_what_the_solver_does_not_hold(claimed, on_turn, blocks, lever):
+    """Left out with a covariance of another linearisation; D starts again in a graph that lacks the tilt."""
+    held = HeldMounting(MountingLimits())
+    rows = np.column_stack([1e-3 * np.eye(3), on_turn * np.eye(3), np.zeros(3)])
+    held.add(rows.T @ rows, np.array([0.0, 0.0, 1.0]), claimed * 1e6 * np.eye(3), counts=True)
+    assert held.blocks == blocks
+    assert np.linalg.eigvalsh(held.covariance)[0] > 0
+    assert np.abs(held.shift).max(initial=0.0) == pytest.approx(lever)
+
+
 def test_evidence_above_its_bound_is_as_rare_as_the_bound_says():
     """Where the mounting is right the evidence exceeds 10 at any of 60 blocks in at most a tenth of all runs."""
     random, limits, above = np.random.default_rng(6), MountingLimits(excess=1.0), 0
