@@ -10,7 +10,7 @@ from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import measured
 from magyc_gtsam.factors.pose import MICROTESLA, check_unit
-from magyc_gtsam.factors.units import check_field
+from magyc_gtsam.factors.units import check_field, check_readings
 
 _HELD_MOUNTING = 1e-5  # rad
 _HELD_DELAY = 1e-6  # s
@@ -31,6 +31,7 @@ def world_field_prior(
     deviation = np.broadcast_to(np.asarray(sigma, dtype=float), (3,)) / field_unit
     if not (np.isfinite(deviation).all() and (deviation > 0).all()):
         raise MagycError(f"world field prior: standard deviation {sigma!r}; it must be finite and above 0 T")
+    check_readings("world field prior: standard deviation", sigma)
     known = measured("field", field, (3,))
     check_field("world field prior", float(np.linalg.norm(known)))
     return gtsam.PriorFactorPoint3(field_key, known / field_unit, gtsam.noiseModel.Diagonal.Sigmas(deviation))
@@ -88,11 +89,20 @@ def calibration_prior(
         field_unit: T per unit of the key h.
 
     Raises:
-        MagycError: a singular covariance, such as that of a soft iron of determinant 1.
+        MagycError: a singular covariance, such as that of a soft iron of determinant 1, or a hard iron that is not in
+            T.
     """
     check_unit(field_unit)
+    offset = measured("hard iron", hard_iron, (3,))
+    check_readings("calibration prior: hard iron", offset)
+    stated = np.asarray(covariance, dtype=float)
+    if stated.ndim != 2 or min(stated.shape) < 9:
+        raise MagycError(
+            f"calibration prior: a covariance of shape {stated.shape}, expected (9, 9) or larger; some methods give "
+            "none, `smoother` does"
+        )
     unit = np.concatenate([np.ones(6), np.full(3, field_unit)])
-    spread = np.asarray(covariance, dtype=float)[:9, :9] / unit / unit[:, None]
+    spread = stated[:9, :9] / unit / unit[:, None]
     scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
     correlation = spread / scale / scale[:, None]
     if not np.isfinite(spread).all() or np.linalg.eigvalsh(correlation)[0] < 1e-9:
@@ -103,7 +113,7 @@ def calibration_prior(
     root = np.linalg.inv(np.linalg.cholesky(correlation)) / scale
     point = gtsam.Values()
     point.insert(soft_iron_key, vech(soft_iron))
-    point.insert(hard_iron_key, measured("hard iron", hard_iron, (3,)) / field_unit)
+    point.insert(hard_iron_key, offset / field_unit)
     noise = gtsam.noiseModel.Unit.Create(9)
     linear = gtsam.JacobianFactor(soft_iron_key, root[:, :6], hard_iron_key, root[:, 6:], np.zeros(9), noise)
     return gtsam.LinearContainerFactor(linear, point)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.pose import MICROTESLA
+from magyc_gtsam.factors.units import check_readings
 from magyc_gtsam.factors.variables import Array
 
 _HOUR = 3600.0
@@ -43,6 +44,7 @@ def hard_iron_walk(
         sigma: T per √hour, one or three.
         field_unit: T per unit of the keys.
     """
+    check_readings("hard iron walk", sigma)
     return gtsam.BetweenFactorPoint3(
         first_key, second_key, np.zeros(3), _grown(np.asarray(sigma, dtype=float) / field_unit, 3, elapsed)
     )
@@ -69,7 +71,7 @@ def _grown(sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diag
     )
     if not (np.isfinite(deviation).all() and (deviation > 0).all()):
         raise MagycError(
-            f"random walk of {sigma!r} per √hour over {elapsed} s; both must be finite and above 0 "
+            f"random walk of {np.asarray(sigma).tolist()} per √hour over {elapsed} s; both must be finite and above 0 "
             "(a calibration that does not change needs one node, or a walk too small to matter)"
         )
     return gtsam.noiseModel.Diagonal.Sigmas(deviation)

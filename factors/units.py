@@ -61,7 +61,7 @@ def check_readings(name: str, field: ArrayLike) -> None:
     largest = float(np.abs(np.asarray(field)).max(initial=0.0))
     if largest > LIMITS.reading:
         raise MagycError(
-            f"{name}: a magnetometer reading of {largest:.4g} T; it must be below 10 mT"
+            f"{name}: a field of {largest:.4g} T; it must be below 10 mT"
             f"{_likely(largest, *LIMITS.field)}; give it in T"
         )
 

@@ -7,6 +7,7 @@ from test_factors_jacobians import derivative
 
 from magyc_gtsam.factors import (
     MagycError,
+    calibration_prior,
     delay_prior,
     gyro_bias_walk,
     hard_iron_walk,
@@ -169,6 +170,9 @@ def test_random_walks_grow_with_the_square_root_of_time():
         lambda: world_field_prior(F, FIELD * 1e-6, 0.0),
         lambda: soft_iron_walk(0, 1, 0.0, 1e-3),
         lambda: hard_iron_walk(0, 1, 10.0, -1.0),
+        lambda: hard_iron_walk(0, 1, 10.0, 0.5),
+        lambda: calibration_prior(0, 1, np.eye(3), [20.0, 0.0, 5.0], np.eye(9)),
+        lambda: calibration_prior(0, 1, np.eye(3), np.zeros(3), None),
     ],
 )
 def test_wrong_arguments_are_refused(call):
