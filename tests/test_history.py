@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -204,6 +205,23 @@ def test_a_log_that_fails_stays_a_row() -> None:
         mg.calibrate_many(good, times=[0.0])
 
 
+def test_what_cannot_be_read_or_is_repeated_changes_nothing(dives: tuple[LogFactor, ...]) -> None:
+    """A broken file, which has no date, leaves the others' dates; a copy under another name counts once."""
+    factors = draw_season(2, dives, SeasonPlan(dives=8)).factors
+    alone = History(factors)
+    broken = LogFactor("broken", None, None, None, problem="is empty")
+    for more in (
+        History([broken, *factors[:4], broken, replace(factors[2], name="copy"), *factors[4:]]),
+        History([*factors[:3], broken]).extend([replace(factors[1], name="copy"), *factors[3:]]),
+    ):
+        assert more.times is not None
+        assert more.walk == alone.walk
+        np.testing.assert_allclose(more.next.hard_iron, alone.next.hard_iron, rtol=1e-3)
+        np.testing.assert_allclose(more.next.covariance, alone.next.covariance, rtol=0.01, atol=1e-16)
+        (sentence,) = [each.sentence for each in more.contradictions if each.name == "copy"]
+        assert "the same samples as" in sentence
+
+
 def test_one_log_predicts_the_next(dives: tuple[LogFactor, ...]) -> None:
     covariance, following = dives[0].covariance, History([dives[0]]).next.sigma["hard_iron"] * 1e6
     assert covariance is not None
@@ -239,7 +257,10 @@ def test_two_vague_logs_of_another_instrument_are_found_together() -> None:
             misalignment_covariance=spread,
         )
 
-    sure = [log([-0.4, 0.2, 0.2], [4.6, 2.0, -4.2], [5.5, -3.0, -8.0], 0.0, [0.004, 0.15, 0.6, 1.3])] * 3
+    sure = [
+        log([-0.4 + 1e-3 * k, 0.2, 0.2], [4.6, 2.0, -4.2], [5.5, -3.0, -8.0], 0.0, [0.004, 0.15, 0.6, 1.3])
+        for k in range(3)
+    ]
     irons = ([-6.0, -0.5, 58.6], [0.7, 0.5, -8.4])
     vague = [log(iron, [0.0, 0.0, -4.0], [-1.0, 8.3, -20.8], 0.01, [0.012, 0.5, 3.5, 2.6]) for iron in irons]
     assert History([*sure, *vague]).groups == ((0, 1, 2), (3, 4))

@@ -19,6 +19,7 @@ from mcap.writer import Writer
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
 from magyc_gtsam.cli.many import unique_names
+from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.engine import DIED, run_many
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.io.many import find_logs
@@ -257,3 +258,9 @@ def test_every_compass_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert f"COMPASS_OFS{['', 2][k]}_X" in (own / "ardupilot.param").read_text(encoding="utf-8")
     assert main(["calibrate", str(log), "--all", "--magnetic-field", "/imu/mag_0", "-o", str(folder)]) == 2
     assert "leave out --magnetic-field" in capsys.readouterr().err
+
+
+def test_logs_of_one_name_are_told_apart_by_their_folders():
+    logs = [Path(name) for name in ("a/1/dive.mcap", "b/1/dive.mcap", "b/2/dive.mcap", "b/1/other.csv")]
+    names = ["a/1/dive.mcap", "b/1/dive.mcap", "2/dive.mcap", "other.csv"]
+    assert list(distinct_names(logs).values()) == names

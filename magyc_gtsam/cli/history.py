@@ -14,7 +14,7 @@ from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.failures import explained
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.many import unique_names
+from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_exports
 from magyc_gtsam.cli.scale import Scale
@@ -73,14 +73,14 @@ def run(
         options["field_strength"] = strength
     if gyroscope_scale is not None:
         options["gyroscope_scale"] = gyroscope_scale * 1e-2
-    tasks = {
-        name: _Task(replace(reading, log=log), options) for name, log in zip(unique_names(logs), logs, strict=True)
-    }
+    tasks = {name: _Task(replace(reading, log=log), options) for log, name in distinct_names(logs).items()}
     folder = output or dated_folder(Path("history"))
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         rows = run_many(_compress_one, tasks, engine=engine, progress=stage(f"calibrating {len(logs)} logs"))
         factors = [
-            LogFactor(name, None, None, None, problem=row["error"]) if "error" in row else LogFactor.from_dict(row)
+            LogFactor(name, None, None, None, problem=row["error"])
+            if "error" in row
+            else replace(LogFactor.from_dict(row), name=name)
             for name, row in rows.items()
         ]
         history = History(factors, options=options) if before is None else before.extend(factors)
@@ -101,9 +101,10 @@ def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
     """Raise a MagycError for a log that is in the history already and would count twice."""
     from magyc_gtsam.factors.errors import MagycError
 
-    known = set() if before is None else set(before.names)
+    known = [] if before is None else [Path(name).parts for name in before.names]
     for log in logs:
-        if log.name in known:
+        parts = log.resolve().parts
+        if any(parts[-len(name) :] == name for name in known):
             raise MagycError(
                 f"{log.name}: is in the history already; leave it out, or rename it if it is another log"
             )
@@ -113,22 +114,24 @@ def _compress_one(task: _Task) -> Row:
     """Compress one log into its factor, and return it as a row; errors are in the row."""
     from magyc_gtsam.history.log_factor import LogFactor, factor_of
 
-    name = task.reading.log.name
     try:
-        return replace(factor_of(task.reading.recording(), None, task.options), name=name).to_dict()
+        return factor_of(task.reading.recording(), None, task.options).to_dict()
     except Exception as error:  # noqa: BLE001 - a bug must not cost the results of the other logs
         problem = explained(error).removeprefix(f"{task.reading.log}: ")
-        return LogFactor(name, None, None, None, problem=problem).to_dict()
+        return LogFactor(task.reading.log.name, None, None, None, problem=problem).to_dict()
 
 
 def _show(history: History, folder: Path) -> None:
     from magyc_gtsam.report.summary_page import history_rows
 
-    header = ["log", "hard iron x, y, z (µT)", "±"]
-    rows = []
-    for name, iron, calibration in zip(history.names, history.hard_iron, history.calibrations, strict=True):
+    header, rows = ["log", "hard iron x, y, z (µT)", "±", ""], []
+    unused = {each.index for each in history.contradictions}
+    for i, (name, iron, calibration) in enumerate(
+        zip(history.names, history.hard_iron, history.calibrations, strict=True)
+    ):
         sigma = calibration.sigma["hard_iron"].max() * 1e6
         rows.append([name, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}"])
+        rows[-1].append("not used; from the others" if i in unused else "")
     show_table(header, rows)
     show("")
     show(*(with_minus(f"jump before {' '.join(map(str, row))}") for row in history_rows(history)))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,19 @@ COLUMNS = (
 )
 
 
+def distinct_names(logs: Iterable[Path]) -> dict[Path, str]:
+    """Return the file name of each log, with as many of its folders as tell it from the others."""
+    depth = dict.fromkeys(logs, 1)
+    while True:
+        names = {log: "/".join(log.parts[-depth[log] :]) for log in depth}
+        count = Counter(names.values())
+        longer = [log for log, name in names.items() if count[name] > 1 and depth[log] < len(log.parts)]
+        if not longer:
+            return names
+        for log in longer:
+            depth[log] += 1
+
+
 def headline(table: Sequence[Row]) -> tuple[str, str]:
     """Return the number of calibrated logs as a title, and as the first line on the terminal."""
     good = sum(row["exit_code"] == 0 for row in table)
@@ -45,7 +59,7 @@ def shown(table: Sequence[Row], short: bool = False) -> tuple[list[str], list[li
     if short:
         header = ["log", "s", "hard iron (µT)", "±", "heading (°)", "verdict"]
     rows = []
-    for row in table:
+    for row, label in zip(table, _labels(table), strict=True):
         iron = [row[f"hard_iron_{axis}_uT"] for axis in AXES]
         sigma = [row[f"hard_iron_{axis}_sigma_uT"] for axis in AXES]
         verdict = {0: "✔ calibrated", 1: f"✘ {row['sentence']}", 2: f"refused: {row['sentence']}"}[
@@ -56,7 +70,7 @@ def shown(table: Sequence[Row], short: bool = False) -> tuple[list[str], list[li
         good = row["exit_code"] == 0
         rows.append(
             [
-                _label(row),
+                label,
                 "" if row["seconds"] is None else f"{row['seconds']:.0f}",
                 "" if None in iron or not good else ", ".join(f"{value:.2f}" for value in iron),
                 "" if None in sigma or not good else f"{max(sigma):.2f}",
@@ -74,9 +88,10 @@ def _lead(table: Sequence[Row]) -> list[str]:
     return ["Use the calibrations marked ✔; the table gives the reason and the remedy for each of the others."]
 
 
-def _label(row: Row) -> str:
-    """Return the name of the log, followed by the magnetometer if that was named."""
-    return f"{Path(row['log']).name} {row['magnetometer'] or ''}".strip()
+def _labels(table: Sequence[Row]) -> list[str]:
+    """Return the name of each row's log, followed by the magnetometer if that was named."""
+    names = distinct_names(Path(row["log"]) for row in table)
+    return [f"{names[Path(row['log'])]} {row['magnetometer'] or ''}".strip() for row in table]
 
 
 def write_tables(folder: Path, table: Sequence[Row]) -> None:
@@ -100,17 +115,18 @@ def write_tables(folder: Path, table: Sequence[Row]) -> None:
     header, rows = shown(table)
     header = [header[0], header[-1], *header[1:-1]]  # a phone shows the first columns
     linked = [
-        [Link(_label(each), each["page"]) if each["page"] else row[0], row[-1], *row[1:-1]]
+        [Link(row[0], each["page"]) if each["page"] else row[0], row[-1], *row[1:-1]]
         for row, each in zip(rows, table, strict=True)
     ]
     sections = [Section("Logs", header, linked)]
     known = [row for row in table if row["exit_code"] == 0]
+    labels = [row[0] for row, each in zip(rows, table, strict=True) if each["exit_code"] == 0]
     if known:
         iron, sigma = (
             np.array([[row[f"hard_iron_{axis}_{what}"] for axis in AXES] for row in known], dtype=np.float64)
             for what in ("uT", "sigma_uT")
         )
-        figures = by_log([_label(row) for row in known], iron, sigma)
+        figures = by_log(labels, iron, sigma)
         sections.append(Section("Hard iron, each log by itself", figures=figures))
     page = summary_page("Calibrations of many logs", headline(table)[0], not _lead(table), _lead(table), sections)
     with replacing(folder / "index.html") as part:

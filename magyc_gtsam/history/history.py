@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -34,8 +34,8 @@ _LIST = ",\n"
 class History:
     """The joint solution of many logs of one instrument. Created by `calibrate_many` or `History.load`.
 
-    Indices count the logs in the order given. If all logs have a date, the random walk runs in days; otherwise the logs
-    are equally spaced.
+    Indices count the logs in the order given. If all calibrated logs have a date, the random walk runs in days;
+    otherwise the logs are equally spaced.
 
     Attributes:
         factors: the compressed information of each log.
@@ -55,7 +55,7 @@ class History:
         """Solve compressed logs, continuing the groups and filters of an earlier history, if given."""
         self.options = dict(options or {})
         self.model = model or _model_for(self.options)
-        self.factors = _of_one_kind(factors)
+        self.factors = _of_one_kind(_counted_once(factors, ()))
         self._grouping = Grouping(self.factors, self.model, groups)
         self._banks = tuple(banks)
         if not self.groups:
@@ -77,18 +77,36 @@ class History:
     def _instruments(self) -> tuple[Instrument, ...]:
         """One instrument per group; logs without a calibration count as logs of the largest group."""
         uncalibrated = [i for i, factor in enumerate(self.factors) if factor.mean is None]
-        dated = all(factor.time is not None for factor in self.factors)
-
-        def when(i: int) -> float:
-            time = self.factors[i].time
-            return float(time) if dated and time is not None else float(i)
-
+        times = self.times
+        when = range(len(self)) if times is None else times
+        factors = [replace(factor, time=time) for factor, time in zip(self.factors, when, strict=True)]
         members = [list(group) for group in self.groups]
         members[0] += uncalibrated
         return tuple(
-            solve_instrument(self.factors, sorted(group, key=when), self.model, dated=dated, known=self._banks)
+            solve_instrument(
+                factors,
+                sorted(group, key=when.__getitem__),
+                self.model,
+                dated=times is not None,
+                known=self._banks,
+            )
             for group in members
         )
+
+    @property
+    def times(self) -> tuple[float, ...] | None:
+        """The date of each log in s since 1970; None if a calibrated log has none.
+
+        A log that could not be read has the date of the log before it, in the order given.
+        """
+        if any(factor.time is None and factor.mean is not None for factor in self.factors):
+            return None
+        last = next(factor.time for factor in self.factors if factor.time is not None)
+        result = []
+        for factor in self.factors:
+            last = last if factor.time is None else factor.time
+            result.append(last)
+        return tuple(result)
 
     def _of(self, values: Callable[[Instrument], Array]) -> Array:
         """Return one row per log from the rows of the instruments."""
@@ -168,8 +186,9 @@ class History:
     def extend(self, factors: Sequence[LogFactor]) -> History:
         """Add logs that are already compressed, and return this history."""
         self._banks = self._filters
-        self.factors = _of_one_kind((*self.factors, *factors))
-        self._grouping.add(factors)
+        added = _counted_once(factors, self.factors)
+        self.factors = _of_one_kind((*self.factors, *added))
+        self._grouping.add(added)
         for name in ("_instruments", "calibrations", "next", "contradictions"):
             self.__dict__.pop(name, None)
         return self
@@ -234,6 +253,24 @@ def _model_for(options: Mapping[str, Any]) -> HistoryModel:
     """Return the default model, with the prior of the gyroscope's scale that logs are calibrated with."""
     deviation = options.get("gyroscope_scale")
     return HistoryModel(gyroscope_scale=deviation / PER_MILLE) if deviation else HistoryModel()
+
+
+def _counted_once(factors: Sequence[LogFactor], before: Sequence[LogFactor]) -> list[LogFactor]:
+    """Return the factors without the information of those that repeat an earlier one to the last bit.
+
+    The same samples give the same numbers, under whatever name; counted twice they would make the sigmas too small.
+    """
+    known = {factor.mean.tobytes(): factor.name for factor in before if factor.mean is not None}
+    result = []
+    for factor in factors:
+        values = None if factor.mean is None else factor.mean.tobytes()
+        if values in known:
+            problem = f"the same samples as {known[values]}, which count once"
+            factor = replace(factor, mean=None, covariance=None, problem=problem)
+        elif values is not None:
+            known[values] = factor.name
+        result.append(factor)
+    return result
 
 
 def _of_one_kind(factors: Sequence[LogFactor]) -> tuple[LogFactor, ...]:

@@ -73,7 +73,7 @@ class Instrument:
     @cached_property
     def ahead(self) -> tuple[Array, Array]:
         """Mean (p + 3,) and covariance of the shared parameters and h, µT, after one median interval without jump."""
-        elapsed = elapsed_of(self.logs, self.bank.dated)
+        elapsed = elapsed_of([log for log in self.logs if log.mean is not None], self.bank.dated)
         interval = float(np.median(elapsed)) if len(elapsed) else 1.0
         # A labelling that uses no log gives no prediction.
         calibrated = np.array([log.mean is not None for log in self.logs])

@@ -104,15 +104,20 @@ def judged_history(history: History) -> Verdict:
             called="The logs do not belong together",
         )
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
-    span = "per square root of a day" if _dated(history) else "from one log to the next"
-    scatter = f"{history.walk * 1e6:.2g} µT {span}"
+    undated = [factor.name for factor in history.factors if factor.mean is not None and factor.time is None]
+    span = "from one log to the next" if undated else "per square root of a day"
+    if 0 < len(undated) < len(history) - len(history.contradictions):
+        span += (
+            f", since {undated[0]} has no date" if len(undated) == 1 else f", since {len(undated)} have no date"
+        )
+    scatter = f"{history.walk * 1e6:.2g} µT (1σ) {span}"
     between = "otherwise " if jumps else ""
     excluded = len(history.contradictions)
     exclusion = f"; {excluded} more {'logs' if excluded > 1 else 'log'} left out" if excluded else ""
     used = len(history) - excluded
     return Verdict(
         True,
-        worth=f"the hard iron {times}; it {between}changes by {scatter} (1σ){exclusion}",
+        worth=f"the hard iron {times}; it {between}changes by {scatter}{exclusion}",
         called=f"{used} logs of one instrument" if used > 1 else "1 log",
     )
 
@@ -131,15 +136,11 @@ def history_rows(history: History) -> list[list[str | Link]]:
     ]
 
 
-def _dated(history: History) -> bool:
-    return all(factor.time is not None for factor in history.factors)
-
-
 def _hard_iron(history: History) -> list[Figure]:
     """Draw the hard iron over the logs of the largest group, one figure per axis, with each log's own estimate."""
     rows = sorted({*history.groups[0], *(each.index for each in history.contradictions)})
-    dated = _dated(history)
-    at = np.array([history.factors[i].time if dated else i + 1 for i in rows], dtype=np.float64)
+    times, dated = history.times, history.times is not None
+    at = np.array([i + 1 if times is None else times[i] for i in rows], dtype=np.float64)
     order = np.argsort(at, kind="stable")
     rows, at = [rows[k] for k in order], at[order]
     member = np.isin(rows, history.groups[0])
