@@ -168,6 +168,14 @@ def test_a_configuration_is_read_back(logs: Path, tmp_path: Path) -> None:
     )
     assert other.returncode == 0, other.stderr
     assert '"iterations"' in other.stdout
+    prior = ("--prior", "first/calibration.yaml", "--hard-iron-walk", 2, "--option", "turn=0.2")
+    assert run("calibrate", logs / "dive.mcap", "-o", "known", "-q", *prior, cwd=tmp_path).returncode == 0
+    kept, new = (tmp_path / name / "calibration.yaml" for name in ("kept", "new"))
+    repeated = ("calibrate", "--config", "known/configuration.yaml", "-q")
+    assert run(*repeated, "-o", "kept", cwd=tmp_path).returncode == 0
+    assert kept.read_text() == (tmp_path / "known/calibration.yaml").read_text()
+    assert run(*repeated, "-o", "new", "--prior", "known/calibration.yaml", cwd=tmp_path).returncode == 0
+    assert mg.Calibration.load(new).sigma["hard_iron"].max() < mg.Calibration.load(kept).sigma["hard_iron"].max()
     assert mg.Calibration.load(tmp_path / "other" / "calibration.yaml").delay_sigma is not None
     assert (tmp_path / "other" / "report.pdf").read_bytes().startswith(b"%PDF")
 

@@ -11,6 +11,7 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.accelerometer import calibrate_accelerometer
+from magyc_gtsam.cli.configuration import CONFIGURED
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.known import GivenFacts
@@ -98,7 +99,9 @@ def run(
     Writes calibration.yaml, configuration.yaml, report.html and the parameters to paste.
     Exit code 1: done, but the result must not be trusted; the reason is printed and no parameters are written.
     """
-    options = _method_options(known.options(scale, method), noise, delay, robust, window, option)
+    configured = context.meta.get(CONFIGURED, {})
+    options = _method_options(configured, known.options(scale, method), noise, delay, robust, window, option)
+    unchecked = [*(option or []), *configured] or None
     if plan is not None:
         from magyc_gtsam.cli.plan import show_plan
 
@@ -121,12 +124,12 @@ def run(
         if pdf:
             raise typer.BadParameter("is for one LOG", param_hint="--pdf")
         logs = find_logs([reading.log, *(more or [])])
-        tasks = each_log(Task(reading, method, options, option, Path(), tuple(context.obj), force), logs)
+        tasks = each_log(Task(reading, method, options, unchecked, Path(), tuple(context.obj), force), logs)
         return calibrate_logs(each_compass(tasks) if every else tasks, output, engine, open_page, quiet, json)
     folder = output or dated_folder(reading.log)
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording, calibration, verdict = calibrate_log(
-            reading, method, options, option, part, context.obj, force, stage=stage
+            reading, method, options, unchecked, part, context.obj, force, stage=stage
         )
     if not verdict.trusted and not force:
         remove_exports(folder)  # those of an earlier run
@@ -153,6 +156,7 @@ def run(
 
 
 def _method_options(
+    configured: dict[str, Any],
     known: dict[str, Any],
     noise: tuple[float, float] | None,
     delay: str | None,
@@ -160,7 +164,7 @@ def _method_options(
     window: float | None,
     pairs: list[str] | None,
 ) -> dict[str, Any]:
-    """Return the arguments of `magyc_gtsam.calibrate`, in SI units, for the options that were given."""
+    """Return the arguments of `magyc_gtsam.calibrate`, in SI units: those of --config, then what was given."""
     from magyc_gtsam.factors.errors import MagycError
 
     options: dict[str, Any] = known | {"robust": robust, "window": window}
@@ -177,7 +181,10 @@ def _method_options(
             raise MagycError(f"--delay: must be a number of milliseconds or 'auto', got {delay!r}") from None
     if window is not None and not window > 0:
         raise MagycError(f"--window: must be more than 0 s, got {window:g}")
-    return {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", pairs)
+    given = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", pairs)
+    if "field_strength" in given:  # instead of the place of --config
+        configured = {k: v for k, v in configured.items() if k != "field"}
+    return configured | given
 
 
 def _configuration(calibration: Calibration) -> str:

@@ -8,19 +8,20 @@ from typing import Any
 
 import typer
 
-_WITH_OPTION = ("robust", "window", "noise", "delay", "field_strength")  # the others are set with --option
+CONFIGURED = "configured"  # where the context keeps the arguments of the method that no option can give
+_WITH_OPTION = ("robust", "window", "noise", "delay", "field_strength")
 
 
 def from_file(context: typer.Context, path: Path | None) -> Path | None:
     """Use the options in the file as defaults of those that are not given; the callback of --config."""
     if path is None:
         return None
-    context.default_map = {**(context.default_map or {}), **defaults(path)}
+    context.default_map, context.meta[CONFIGURED] = _defaults(path)
     return path
 
 
-def defaults(path: Path) -> dict[str, Any]:
-    """Return the options of `calibrate` by their names, from a configuration.yaml.
+def _defaults(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the options of `calibrate` by their names, and the other arguments, from a configuration.yaml.
 
     Raises:
         MagycError: the file does not exist or was not written by `calibrate`.
@@ -40,15 +41,14 @@ def defaults(path: Path) -> dict[str, Any]:
     if not isinstance(options, dict):
         raise MagycError(f"--config: {path}: options must be a mapping of names to values, got {options!r}")
     try:
-        return {**values["reading"], "method": values["method"], **_as_options(options)}
+        others = {name: value for name, value in options.items() if name not in _WITH_OPTION}
+        return {**values["reading"], "method": values["method"], **_as_options(options)}, others
     except (TypeError, ValueError) as problem:
         raise MagycError(f"--config: {path}: an option has the wrong type ({problem})") from None
 
 
 def _as_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Convert arguments of `magyc_gtsam.calibrate`, in SI units, to options in the units of the command line."""
-    import yaml
-
     result: dict[str, Any] = {name: options[name] for name in ("robust", "window") if name in options}
     if "noise" in options:
         magnetometer, gyroscope = options["noise"]
@@ -57,9 +57,4 @@ def _as_options(options: Mapping[str, Any]) -> dict[str, Any]:
         result["delay"] = repr(options["delay"] * 1e3)
     if "field_strength" in options:
         result["field_strength"] = options["field_strength"] * 1e6
-    others = {name: value for name, value in options.items() if name not in _WITH_OPTION}
-    if others:
-        result["option"] = [
-            f"{k}={yaml.safe_dump(v, default_flow_style=True).split(chr(10))[0]}" for k, v in others.items()
-        ]
     return result
