@@ -131,6 +131,8 @@ def test_the_command_takes_many_logs(late: list[mg.Recording], tmp_path: Path) -
 
 def test_what_cannot_be_compared_is_said(late: list[mg.Recording]) -> None:
     assert mg.find_gap(late[:1]).verdict == "not enough information"
+    twice = mg.find_gap([late[0], replace(late[0], name="copy")])
+    assert [(each.log, twice.verdict) for each in twice.own] == [("copy", "not enough information")]
     with pytest.raises(mg.MagycError, match="no recordings"):
         mg.find_gap([])
     with pytest.raises(mg.MagycError, match="takes no calibration="):

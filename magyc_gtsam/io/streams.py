@@ -23,6 +23,7 @@ Stamps = NDArray[np.int64]
 _SECOND = 1_000_000_000  # ns
 _ABSENT = 0.05  # share of finite numbers below which an axis is absent; two alternating sensors leave half
 _MOST_INVALID = 0.5  # largest share of samples that can be left out as invalid
+_LONGEST_PAUSE = 30 * 86400 * _SECOND  # a longer one is a clock without a battery, set to the date while recording
 _YEAR_2000 = 946_684_800 * _SECOND  # earlier stamps count from boot, not from 1970
 
 
@@ -64,7 +65,7 @@ def assemble(
         name, notes, angular_rate_is, attitude_is: of the recording.
 
     Raises:
-        MagycError: an axis is absent, a clock goes back, one stamp has two values, or the streams do not make a valid
+        MagycError: an axis is absent, a clock was set, one stamp has two values, or the streams do not make a valid
             `Recording`.
     """
     remarks = list(notes)
@@ -130,7 +131,7 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
     """Return the stream finite, ascending and without duplicates, and note what was changed.
 
     Raises:
-        MagycError: an axis is absent, the clock goes back, or one stamp has two values.
+        MagycError: an axis is absent, the clock was set, or one stamp has two values.
     """
     stream = _finite(stream, role, notes)
     if role == "magnetic_field":
@@ -141,10 +142,11 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
     if len(restarts):
         row = int(restarts[0])
         elapsed = float(_elapsed(stream.stamp)[row])
-        back = (stream.stamp[row] - stream.stamp[row + 1]) / 1e9
+        step = (int(stream.stamp[row + 1]) - int(stream.stamp[row])) / 1e9
+        moved = f"goes back by {-step:.3f} s" if step < 0 else f"jumps ahead by {step / 86400:.0f} days"
         cut = f"{elapsed + 0.5:.1f}"  # in the middle of the second that `_elapsed` puts there
         raise MagycError(
-            f"{stream.name}: its clock goes back by {back:.3f} s after sample {row + 1}, {elapsed:.3f} s "
+            f"{stream.name}: its clock {moved} after sample {row + 1}, {elapsed:.3f} s "
             f"into the log; read one side of it (end={cut} or start={cut}), or "
             "use the times of recording if the format has them (stamps='log')"
         )
@@ -238,14 +240,17 @@ def _without_spikes(stream: Stream, notes: list[str]) -> Stream:
 
 
 def _restarts(stamp: Stamps) -> NDArray[np.intp]:
-    """Return the rows after which the clock goes back by more than 1 s; shorter steps are messages out of order."""
-    return np.flatnonzero(np.diff(stamp) < -_SECOND)
+    """Return the rows after which the clock was set: back by more than 1 s, as shorter steps are messages out of order,
+    or ahead by more than any pause of a recording.
+    """
+    step = np.diff(stamp)
+    return np.flatnonzero((step < -_SECOND) | (step > _LONGEST_PAUSE))
 
 
 def _elapsed(stamp: Stamps) -> Array:
-    """Return the time (n,) s since the first sample along the file; a step back counts as a second forward."""
+    """Return the time (n,) s since the first sample along the file; where the clock was set it is a second."""
     step = np.diff(stamp)
-    step[step < -_SECOND] = _SECOND
+    step[_restarts(stamp)] = _SECOND
     return np.concatenate([[0.0], np.cumsum(step) / 1e9])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 
 import numpy as np
 
@@ -70,6 +71,7 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         raise MagycError("mg.find_gap: no recordings; give those of one instrument")
     logs: list[OneLog] = []
     own: list[Own] = []
+    known: dict[bytes, str] = {}  # a copy of a log would count twice
     for k in range(len(recordings)):
         called = f"log {k + 1}"
         try:
@@ -81,6 +83,10 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         called = recording.name or called
         if called in (log.name for log in logs):
             called = f"{called} ({k + 1})"
+        first = known.setdefault(sha256(recording.magnetic_field.tobytes()).digest(), called)
+        if first != called:
+            own.append(Own(called, f"the same samples as {first}, which count once"))
+            continue
         try:
             logs.append(OneLog.of(recording, names, called))
         except MagycError as problem:
