@@ -66,6 +66,9 @@ def test_an_effect_changes_what_it_says_and_nothing_else() -> None:
         (lambda a, f, r: {"time": a["time"]}, "is not one of"),
         (lambda a, f, r: {"magnetic_field": a["time"]}, "of shape"),
         (lambda a, f, r: {"magnetic_field": a["magnetic_field"] * np.nan}, "must be finite"),
+        (lambda a, f, r: {"magnetic_field": a["magnetic_field"] * 1e6}, "mine.effect: .* likely unit: µT"),
+        (lambda a, f, r: {}, "mine.effect: changes nothing at factor 1"),
+        (lambda a, f, r: {"magnetic_field": a["magnetic_field"]}, "changes nothing"),
         (lambda a, f, r: 1 / 0, "ZeroDivisionError"),
     ],
 )
@@ -85,3 +88,5 @@ def test_files_without_effects_are_refused(
     path.write_text(text or "", encoding="utf-8")
     assert main(["study", "gap", "--foreign", str(path), "-o", str(tmp_path / "out")]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+    assert main(["study", "gap", "--foreign", str(EXAMPLE), "--set", "none", "-o", str(tmp_path / "out")]) == 2
+    assert "has no effect with --foreign" in capsys.readouterr().err

@@ -356,6 +356,8 @@ def test_a_recording_with_effects(
     assert {e["name"]: e["factor"] for e in hidden} == {"motor-current": 0.5, "hard-iron-step": 1.0}
     assert cli.main(["simulate", "multi", "-o", "a.mcap", "--effect", "tone=loud"]) == 2
     assert "--effect: the factor of 'tone' must be a number, got 'loud'" in capsys.readouterr().err
+    assert cli.main(["simulate", "multi", "-o", "a.mcap", "--duration", "60"]) == 0
+    assert not Path("a.effects.yaml").exists()  # those of the earlier recording
 
 
 def test_plan_rows() -> None:

@@ -158,6 +158,22 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "calibrate all of them with the same gyroscope_scale" in capsys.readouterr().err
 
 
+def test_parameters_of_an_earlier_run_do_not_stay_beside_an_untrusted_result(tmp_path: Path) -> None:
+    a, b, c, d = (str(tmp_path / f"{name}.mcap") for name in "abcd")
+    one, other = np.eye(3), np.diag([1.2, 0.9, 1.0])
+    for seed, (path, iron) in enumerate(((a, one), (b, one), (c, other), (d, other))):
+        write_mcap(path, mg.simulate("wide", 120, 10, seed=seed, soft_iron=iron).recording)
+    together, each = tmp_path / "together", tmp_path / "each"
+    for logs, code in (([a, b], 0), ([a, b, c, d], 1)):  # one instrument, then two
+        assert main(["history", *logs, "-o", str(together), "-q"]) == code
+        assert (together / "px4.params").exists() == (code == 0)
+        assert mg.Calibration.load(together / "next.yaml").trusted == (code == 0)
+    for code in (0, 1):
+        assert main(["calibrate", a, b, "-o", str(each), "-q"]) == code
+        assert (each / "a" / "px4.params").exists() == (code == 0)
+        write_mcap(a, mg.simulate("tiny", 30, 10).recording)
+
+
 def units(count: int) -> dict[str, Any]:
     return {f"unit-{seed}": (seed, 40) for seed in range(count)}
 

@@ -94,10 +94,11 @@ def changed(recording: Recording, name: str, function: Function, factor: float, 
     Raises:
         MagycError: the function fails, or returns arrays that a recording cannot hold.
     """
-    arrays = {"time": recording.time, "attitude": recording.attitude}
-    arrays |= {key: getattr(recording, key) for key in _SENSORS}
-    arrays |= {_CHANNEL + key: value for key, value in recording.channels.items()}
-    copies = {key: np.array(value) for key, value in arrays.items() if value is not None}
+    given = {"time": recording.time, "attitude": recording.attitude}
+    given |= {key: getattr(recording, key) for key in _SENSORS}
+    given |= {_CHANNEL + key: value for key, value in recording.channels.items()}
+    arrays = {key: value for key, value in given.items() if value is not None}
+    copies = {key: np.array(value) for key, value in arrays.items()}
     shapes = {key: value.shape for key, value in copies.items() if key not in ("time", "attitude")}
     try:
         result = function(copies, factor, np.random.default_rng([seed, 3]))
@@ -110,8 +111,15 @@ def changed(recording: Recording, name: str, function: Function, factor: float, 
         array = np.asarray(value, dtype=float)
         if key not in shapes:
             raise MagycError(f"{name}: returns {key!r}, which is not one of {', '.join(shapes)}")
-        if array.shape != shapes[key] or not np.isfinite(array).all():
-            raise MagycError(f"{name}: {key!r} must be finite and of shape {shapes[key]}, got shape {array.shape}")
+        bad = np.count_nonzero(~np.isfinite(array))
+        if array.shape != shapes[key] or bad:
+            got = f"{bad} values that are not finite" if array.shape == shapes[key] else f"shape {array.shape}"
+            raise MagycError(f"{name}: {key!r} must be finite and of shape {shapes[key]}, got {got}")
         new[key] = array
+    if all(np.array_equal(new[key], arrays[key]) for key in new):
+        raise MagycError(f"{name}: changes nothing at factor {factor:g}; return the changed arrays by their names")
     channels = {k: new.get(_CHANNEL + k, v) for k, v in recording.channels.items()}
-    return replace(recording, channels=channels, **{key: new[key] for key in _SENSORS if key in new})
+    try:
+        return replace(recording, channels=channels, **{key: new[key] for key in _SENSORS if key in new})
+    except MagycError as problem:
+        raise MagycError(f"{name}: returns arrays that a recording cannot hold: {problem}") from None

@@ -16,7 +16,7 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.cli.reading import Reading
-from magyc_gtsam.cli.results import dated_folder, write_exports
+from magyc_gtsam.cli.results import dated_folder, remove_exports, write_exports
 from magyc_gtsam.cli.scale import Scale
 from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_table, stages
 from magyc_gtsam.foreign_text import with_minus
@@ -57,7 +57,8 @@ def run(
     """Follow one instrument over many logs: constant soft iron, hard iron that drifts and jumps.
 
     Writes history.yaml (a summary of each log, for --add), report.html, and next.yaml with parameters to paste for the
-    next log. Exit code 1: done, but the logs are of several instruments.
+    next log. Exit code 1: done, but the logs are of several instruments: no parameters, and next.yaml is marked as
+    untrusted.
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
@@ -84,16 +85,25 @@ def run(
             for name, row in rows.items()
         ]
         history = History(factors, options=options) if before is None else before.extend(factors)
+        verdict, following = judged_history(history), history.next
+        if not verdict.trusted:
+            following = replace(following, converged=False, message=verdict.reason)
         history.save(part / "history.yaml")
-        history.next.save(part / "next.yaml")
-        write_exports(part, history.next)
+        following.save(part / "next.yaml")
+        write_exports(part, following)
         (part / "report.html").write_text(history_page(history), encoding="utf-8", errors="backslashreplace")
-    verdict = judged_history(history)
+    if not verdict.trusted:
+        remove_exports(folder)  # those of an earlier run
     if json:
-        typer.echo(json_text.dumps(_as_dict(history, folder) | {"verdict": verdict.to_dict()}, indent=2))
+        told = _as_dict(history, folder) | {"next": following.to_dict(), "verdict": verdict.to_dict()}
+        typer.echo(json_text.dumps(told, indent=2))
     elif not quiet:
         show(verdict.sentence, "")
-        _show(history, folder)
+        _show(history)
+        if verdict.trusted:
+            show(f"next log: {following.message}")
+            show_calibration(following)
+        show("", f"results: {folder}", f"page: {folder / 'report.html'}")
     return concluded(verdict, shown=not (quiet or json))
 
 
@@ -121,7 +131,7 @@ def _compress_one(task: _Task) -> Row:
         return LogFactor(task.reading.log.name, None, None, None, problem=problem).to_dict()
 
 
-def _show(history: History, folder: Path) -> None:
+def _show(history: History) -> None:
     from magyc_gtsam.report.summary_page import history_rows
 
     header, rows = ["log", "hard iron x, y, z (µT)", "±", ""], []
@@ -138,13 +148,6 @@ def _show(history: History, folder: Path) -> None:
     show(*(f"contradicts: {each.name}: {each.sentence}" for each in history.contradictions))
     if len(history.groups) > 1:
         show(*(f"group: {', '.join(history.names[i] for i in group)}" for group in history.groups))
-    show(f"next log: {history.next.message}")
-    show_calibration(history.next)
-    show(
-        "",
-        f"results: {folder}",
-        f"page: {folder / 'report.html'}",
-    )
 
 
 def _as_dict(history: History, folder: Path) -> dict[str, Any]:
@@ -156,5 +159,4 @@ def _as_dict(history: History, folder: Path) -> dict[str, Any]:
         "jumps": [[index, size.tolist(), sigma.tolist()] for index, size, sigma in history.jumps],
         "groups": [list(group) for group in history.groups],
         "contradictions": [[each.index, each.name, each.sentence] for each in history.contradictions],
-        "next": history.next.to_dict(),
     }

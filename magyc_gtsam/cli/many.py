@@ -19,7 +19,7 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, shown, write_tables
 from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading
-from magyc_gtsam.cli.results import dated_folder
+from magyc_gtsam.cli.results import dated_folder, remove_exports
 from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
 
 if TYPE_CHECKING:
@@ -185,6 +185,8 @@ def calibrate_one(task: Task) -> Row:
             )
     except Exception as error:  # noqa: BLE001 - a bug must not cost the results of the other logs
         return {"exit_code": 2, "sentence": explained(error).removeprefix(f"{task.reading.log}: ")}
+    if not verdict.trusted and not task.force:
+        remove_exports(task.folder)  # those of an earlier run
     row: Row = {
         "exit_code": 0 if verdict.trusted else 1,
         "sentence": verdict.reason,

@@ -105,8 +105,9 @@ def run(
         write_mcap(part, simulation.recording)
         simulation.truth.save(truth_part)
     show(f"{output}: {simulation.recording.duration:.1f} s at {rate:g} Hz", f"{truth}: the truth behind it")
+    hidden = output.with_suffix(".effects.yaml")
+    hidden.unlink(missing_ok=True)  # those of an earlier recording of this name
     if simulation.effects:
-        hidden = output.with_suffix(".effects.yaml")
         with replacing(hidden) as part:
             write_yaml(part, {"effects": json_types(simulation.effects)})
         show(f"{hidden}: {', '.join(e.name for e in simulation.effects)}")

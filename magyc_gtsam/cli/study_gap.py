@@ -45,6 +45,8 @@ def blind_test(
     unknown = sorted(set(sets or ()) - set(SETS[:-1]))
     if unknown:
         raise MagycError(f"--set: {unknown[0]!r} is not one of {', '.join(SETS[:-1])}")
+    if foreign is not None and sets:
+        raise MagycError("--set: has no effect with --foreign, whose effects are the only ones; leave it out")
     outside = None if foreign is None else Outside.read(foreign)
     if outside is not None:
         for motion in motions or MOTIONS:

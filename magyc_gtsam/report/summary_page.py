@@ -84,9 +84,10 @@ def history_page(history: History) -> str:
             "Logs that can be of one instrument",
             sentences=[", ".join(names[i] for i in group) for group in history.groups],
         ),
-        Section("For the next log", ("", "x", "y", "z"), parameters, [following.message]),
     ]
     verdict = judged_history(history)
+    if verdict.trusted:
+        sections.append(Section("For the next log", ("", "x", "y", "z"), parameters, [following.message]))
     return summary_page(
         "History of an instrument", verdict.title, verdict.trusted, [said(verdict.reason)], sections
     )
