@@ -230,6 +230,8 @@ def test_walking_parameters_lose_information_as_they_should():
 def test_samples_that_cannot_be_used_are_left_out_and_counted():
     online = OnlineCalibrator()
     field, rate = np.full((4, 3), 3e-5), np.zeros((4, 3))
+    online.update(np.arange(-1.8, -1.0, 0.1), np.tile(field, (2, 1)))
+    assert online.progress.sentence == "collecting: no sample of angular_rate yet"
     online.update(np.arange(-0.8, 0.0, 0.1), np.tile(field, (2, 1)), np.tile(rate, (2, 1)))
     online.update([0.0, 0.1, 0.1, 0.05], field + np.arange(12).reshape(4, 3) * 1e-9, rate)
     assert online.progress.left_out == 4  # two stamps of two sensors
@@ -243,7 +245,7 @@ def test_samples_that_cannot_be_used_are_left_out_and_counted():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (([0.5, 1.0, -2.0], [[3e-5, 0, 4e-5]] * 3), "time goes back from 1.000 to -2.000 s"),
+        (([0.5, 1.0, *np.arange(-3, -2.45, 0.1)], [[3e-5, 0, 4e-5]] * 8), "time goes back from 1.000 to -2.500 s"),
         (([1.0, 5.0], [[3e-5, 0, 4e-5]] * 3), "3 rows for 2 stamps"),
         (([1.0, 5.0], [[3e-5, 0]] * 2), r"magnetic_field: shape \(2, 2\)"),
         ((1.0, [3e-5, 0]), r"magnetic_field: shape \(2,\) for one stamp"),

@@ -37,6 +37,15 @@ def test_wrong_stamps_ahead_are_dropped_and_pauses_kept(seed: int, cut: int) -> 
     assert left_out == 6
 
 
+@pytest.mark.parametrize("cut", [1, 3, 1000])
+def test_a_few_stamps_far_behind_are_left_out_and_a_clock_that_is_set_back_is_not(cut: int) -> None:
+    time = 100 + 0.1 * np.arange(60)
+    given = np.insert(time, [20, 40, 40, 40, 40, 40], [0.0, 50.0, 50.1, 50.2, 50.3, 50.4])
+    assert taken(given, cut) == (time.tolist(), 6)
+    with pytest.raises(mg.MagycError, match="time goes back from 105.900 to 50.500 s and stays there"):
+        taken(np.r_[time, 50 + 0.1 * np.arange(6)], cut)
+
+
 @pytest.mark.parametrize("step", [0.01, 0.1, 2.0, 30.0])
 def test_regular_stamps_are_all_taken(step: float) -> None:
     time = step * np.arange(100)

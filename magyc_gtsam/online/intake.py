@@ -13,9 +13,9 @@ from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.stamps import check_seconds
 
-_LATE = 1.0  # s by which a late stamp is left out; a later one means that a clock was set back
+_LATE = 1.0  # s by which a stamp may be late; several later ones in a row mean that a clock was set back
 _LEAP = 3.0  # ratio to the previous step, and at least `_LATE`, by which a stamp may be ahead without confirmation
-_CONFIRMED_BY = 5  # number of later stamps that confirm a stamp which leaps ahead
+_CONFIRMED_BY = 5  # number of further stamps that confirm a stamp which leaps ahead, or back
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
 _NAMES = ("magnetic_field", "angular_rate")
@@ -35,6 +35,7 @@ class Intake:
             name: np.empty((0, 4)) for name in _NAMES
         }  # time and value of samples not yet confirmed
         self._step = dict.fromkeys(_NAMES, 0.0)  # s between the last two samples
+        self._behind = dict.fromkeys(_NAMES, 0)  # number of the last rows in a row that were later than `_LATE`
         self._left_out = 0
         self._first = np.nan
 
@@ -53,7 +54,7 @@ class Intake:
             if value is not None
         }
         taken, last, left_out = {}, dict(self._last), self._left_out
-        quarantine, steps = dict(self._quarantine), dict(self._step)
+        quarantine, steps, behind = dict(self._quarantine), dict(self._step), dict(self._behind)
         repeated = np.empty(0)
         for name, limit in zip(_NAMES, _WIDTH, strict=True):
             if name not in rows:
@@ -65,7 +66,7 @@ class Intake:
             incoming = np.vstack([quarantine[name], np.column_stack([when, value])])
             admitted, quarantine[name] = _confirmed(incoming, last[name][0], steps[name])
             left_out += len(incoming) - len(admitted) - len(quarantine[name])
-            when, value = _ascending(name, admitted, last[name][0])
+            when, value, behind[name] = _ascending(name, admitted, last[name][0], behind[name])
             left_out += len(admitted) - len(when)
             if len(when):
                 if len(when) > 1 or np.isfinite(last[name][0]):
@@ -79,7 +80,7 @@ class Intake:
                 when, value = when[fresh], value[fresh]
             taken[name] = Samples(when, value)
         self._last, self._left_out, self.repeated = last, left_out, repeated
-        self._quarantine, self._step = quarantine, steps
+        self._quarantine, self._step, self._behind = quarantine, steps, behind
         if np.isnan(self._first):
             firsts = [s.time[0] for s in taken.values() if len(s.time)]
             self._first = float(min(firsts)) if firsts else np.nan
@@ -101,13 +102,16 @@ class Intake:
         """Return the engine's progress with time, duration and count of left-out samples."""
         last = max(self.until)
         time = last if np.isfinite(last) else progress.time
+        absent = [name for name in _NAMES if not np.isfinite(self._last[name][0])]
+        if len(absent) == 1:
+            progress = replace(progress, sentence=f"collecting: no sample of {absent[0]} yet")
         return replace(progress, time=time, duration=self.duration, left_out=self._left_out)
 
     def state(self) -> Mapping[str, Array]:
         """Return the state as named arrays, for `restore`."""
         return {
             "last": np.array([[time, *value] for time, value in self._last.values()]),
-            "count": np.array([self._first, self._left_out]),
+            "count": np.array([self._first, self._left_out, *self._behind.values()]),
             "step": np.array([self._step[name] for name in _NAMES]),
             **{f"quarantine/{name}": rows for name, rows in self._quarantine.items()},
         }
@@ -117,7 +121,9 @@ class Intake:
         self._last = {
             name: (float(row[0]), row[1:].copy()) for name, row in zip(_NAMES, state["last"], strict=True)
         }
-        self._first, self._left_out = float(state["count"][0]), int(state["count"][1])
+        first, left_out, *behind = state["count"].tolist()
+        self._first, self._left_out = first, int(left_out)
+        self._behind = {name: int(count) for name, count in zip(_NAMES, behind or (0, 0), strict=True)}
         self._step = dict(zip(_NAMES, state["step"].tolist(), strict=True))
         self._quarantine = {name: state[f"quarantine/{name}"] for name in _NAMES}
 
@@ -155,22 +161,27 @@ def _within_limits(name: str, stamps: Array, value: Array, limit: float, first: 
     return when[~beyond], value[~beyond], refused + int(beyond.sum())
 
 
-def _ascending(name: str, rows: Array, last: float) -> tuple[Array, Array]:
-    """Return stamps and values of the rows (n, 4) that ascend after the stamp `last`.
+def _ascending(name: str, rows: Array, last: float, behind: int) -> tuple[Array, Array, int]:
+    """Return stamps and values of the rows (n, 4) that ascend after the stamp `last`, and the new `behind`.
 
     Raises:
-        MagycError: a stamp is later than `_LATE` allows, because a clock was set back.
+        MagycError: more than `_CONFIRMED_BY` rows in a row are later than `_LATE` allows, because a clock was set back.
     """
     when, value = rows[:, 0], rows[:, 1:]
+    if not len(when):
+        return when, value, behind
     before = np.maximum.accumulate(np.concatenate([[last], when]))[:-1]
-    if len(when) and (before - when).max() > _LATE:
-        row = int((before - when).argmax())
+    far, place = before - when > _LATE, np.arange(1, len(when) + 1)
+    since = np.maximum.accumulate(np.where(far, -behind, place))  # the last row before that was not far behind
+    run = place - since
+    if run.max() > _CONFIRMED_BY:
+        row = int(run.argmax())
         raise MagycError(
-            f"{name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s, at most {_LATE:g} s late is "
-            "left out; if a clock was set, save the calibration and start a new run"
+            f"{name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s and stays there; "
+            "if a clock was set, save the calibration and start a new run"
         )
     late = when <= before
-    return when[~late], value[~late]
+    return when[~late], value[~late], int(run[-1])
 
 
 def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
