@@ -13,7 +13,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.empty_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.median import median
-from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.rotations import Array, chain, cross, exponential, exponential_matrices, matrices
 from magyc_gtsam.factors.chain.vech import unvech
 
 SLOW = (1, 7)  # half waves in the recording of a slow variation
@@ -26,8 +26,9 @@ class WindowMotion:
 
     Attributes:
         time: (n,) s.
-        rotation: (3, 3, n) integrated world → sensor.
-        seen: (3, 3, n) T, soft iron (times field strength) times rotation: readings of unit fields along world axes.
+        rotation: (3, 3, n) integrated world → sensor. The integration has the bias of the windows, so that this world
+            turns against the field, by 0.1 to 0.4 rad in ten minutes.
+        world: (3, 3, n) integrated world → the world by the bias of the fit, in which the field has one direction.
         unit: (3, n) direction of the field in the sensor's axes; change: (3, n) 1/s, its derivative with respect to the
             delay, −d/dt.
         rate: (3, n) rad/s, rate of turn.
@@ -43,7 +44,7 @@ class WindowMotion:
 
     time: Array
     rotation: Array
-    seen: Array
+    world: Array
     unit: Array
     change: Array
     rate: Array
@@ -69,13 +70,14 @@ class WindowMotion:
         rate = 0.5 * np.array(
             [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]
         )
+        drift = np.einsum("ijn,j->in", windows.lever, parameters[9:12] - windows.bias)  # of the world in each link
         g = fit.state.direction
         unit, change = np.einsum("ijn,jn->in", rotation, g), np.einsum("ijn,jn->in", windows.rotation_rate, g)
         apart = np.maximum(np.diff(windows.time), 1e-9)
         return cls(
             time=windows.time,
             rotation=rotation,
-            seen=(soft @ rotation.reshape(3, -1)).reshape(rotation.shape),
+            world=_aligned(matrices(chain(exponential(drift.T))).reshape(3, 3, -1), g),
             unit=unit,
             change=change,
             rate=rate,
@@ -116,7 +118,7 @@ class WindowMotion:
             self,
             time=put(self.time, between.time),
             rotation=put(self.rotation, between.rotation),
-            seen=put(self.seen, np.einsum("ij,jkn->ikn", self.soft_iron, between.rotation)),
+            world=put(self.world, self.world[:, :, between.link]),
             unit=put(self.unit, unit),
             change=put(self.change, change),
             rate=put(self.rate, between.rate),
@@ -167,8 +169,14 @@ class WindowMotion:
         return np.broadcast_to((np.eye(3) * self.strength)[:, :, None], (3, 3, len(self.time)))
 
     @cached_property
+    def attitude(self) -> Array:
+        """(3, 3, n) world → sensor."""
+        return np.einsum("ijn,kjn->ikn", self.rotation, self.world)
+
+    @cached_property
     def _world_axes(self) -> Array:
-        return self.seen.swapaxes(0, 1)
+        """(3, 3, n) T, the readings of unit fields along the world's axes, axis by axis."""
+        return (self.soft_iron @ self.attitude.reshape(3, -1)).reshape(self.attitude.shape).swapaxes(0, 1)
 
     def on_gyroscope(self, profiles: Array) -> RateErrors:
         """Return the columns of rate errors ω (k, 3, n) rad/s: links turn by −∫ Rᵀ ω dt more than modelled."""
@@ -262,3 +270,19 @@ class WindowMotion:
     def _waves(self, first: int, stop: int) -> Array:
         share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
         return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)
+
+
+def _aligned(world: Array, direction: Array) -> Array:
+    """Return rotations `world` (3, 3, n) followed by the least turn that gives the field's directions (3, n) one value.
+
+    In a world that drifts against the field by the gyroscope's noise, columns of the iron's form would differ from
+    it by this noise and be scored by it: one of 60 clean logs on tiny motion lost its trust.
+    """
+    there = np.einsum("ijn,jn->in", world, direction)
+    mean = there.mean(axis=1)
+    mean /= max(float(np.linalg.norm(mean)), ALIKE)
+    across = cross(there, np.broadcast_to(mean[:, None], there.shape))
+    size = np.linalg.norm(across, axis=0)
+    angle = np.arctan2(size, mean @ there)
+    turn = exponential_matrices(across * (angle / np.maximum(size, ALIKE)))
+    return np.einsum("ijn,jkn->ikn", turn, world)
