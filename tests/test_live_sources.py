@@ -344,6 +344,18 @@ def test_stamps_of_arrival_are_evened_out_and_pauses_kept() -> None:
     assert abs(stamps[-1] - sampled[-1]) < 0.02
 
 
+def test_wrong_stamps_lose_and_delay_nothing() -> None:
+    monitor = StreamMonitor()
+    for k in range(3000):
+        stamp = {1000: 0.0, 1500: 1e12}.get(k, 1.7e9 + k / 20)
+        one = Samples(np.array([stamp]), np.zeros((1, 3)))
+        monitor.take(NewSamples(one, one), k / 20)
+    health = monitor.health
+    assert health.missing == 0
+    assert health.late < 1e-3
+    assert health.rate == pytest.approx((20, 20), rel=0.02)
+
+
 def test_rate_losses_and_delay() -> None:
     """100 Hz and 200 Hz for a minute, 5 % of the magnetometer lost, the last seconds 80 ms later than before."""
     monitor, random = StreamMonitor(), np.random.default_rng(1)

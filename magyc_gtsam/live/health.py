@@ -14,6 +14,7 @@ from magyc_gtsam.recording import Array
 _MEMORY = 5.0  # s over which rate and lateness are measured
 # s over which the quickest sample gives the offset between the two clocks; 50 ppm of drift are 3 ms in this time.
 _CLOCK_MEMORY = 60.0
+_LEAP = 60.0  # s; a longer step of the stamps is a pause or a wrong stamp, and loses no samples and delays none
 _STEPS = 200  # last steps of the stamps, whose median is the period
 _FEWEST_STEPS = 20  # needed to know the period
 _MISSING = 1.6  # periods; a longer step has missing samples
@@ -26,7 +27,7 @@ class StreamHealth:
     Attributes:
         rate: Hz, of magnetometer and gyroscope by their stamps, over the samples that arrived in the last 5 s.
         taken: number of samples so far.
-        missing: number of samples missing so far, by the steps of the stamps.
+        missing: number of samples missing so far, by the steps of the stamps up to a minute.
         late: s, largest delay of the last 5 s relative to the quickest sample of the minute before.
         link: s, one-way delay of the link; None if the source does not measure it.
     """
@@ -83,10 +84,12 @@ class StreamMonitor:
             steps.take(samples.time)
         behind = arrived - max(float(samples.time[-1]) for samples in batch if len(samples.time))
         counts = (len(batch.magnetometer.time), len(batch.gyroscope.time))
-        while self._quickest and self._quickest[-1][1] >= behind:
-            self._quickest.pop()
-        self._quickest.append((arrived, behind))
-        late = behind - self._quickest[0][1]
+        late = 0.0
+        if not self._quickest or behind - self._quickest[0][1] < _LEAP:
+            while self._quickest and self._quickest[-1][1] >= behind:
+                self._quickest.pop()
+            self._quickest.append((arrived, behind))
+            late = behind - self._quickest[0][1]
         self._blocks.append((arrived, late, counts, (self._steps[0].last, self._steps[1].last)))
 
     def _forget(self, now: float) -> None:
@@ -127,8 +130,8 @@ class _Steps:
             return
         self.count += len(time)
         steps = np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0])
-        steps = steps[steps > 0]
-        self.last = max(self.last, float(time[-1]))
+        steps = steps[(steps > 0) & (steps < _LEAP)]
+        self.last = float(time[-1])
         self._recent = np.concatenate([self._recent, steps])[-_STEPS:]
         if len(self._recent) >= _FEWEST_STEPS and (period := float(np.median(self._recent))) > 0:
             wide = steps[steps > _MISSING * period]
