@@ -11,8 +11,9 @@ import pytest
 from test_report import HOSTILE, drawn_figures
 
 import magyc_gtsam as mg
-from magyc_gtsam.history import History
-from magyc_gtsam.report.summary_page import Link, Section, by_log, history_page, summary_page
+from magyc_gtsam.history import History, LogFactor
+from magyc_gtsam.report.charts import Series
+from magyc_gtsam.report.summary_page import Link, Section, _hard_iron, by_log, history_page, summary_page
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +39,19 @@ def test_history_is_drawn_by_the_browser(history: History, dated: bool, opened: 
     said = page.locator(".readout").first.inner_text()
     assert f"{HOSTILE} · by all logs" in said
     assert "the log alone" in said
+
+
+def test_the_line_of_a_history_passes_over_what_is_not_used(
+    history: History, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Series] = []
+    monkeypatch.setattr("magyc_gtsam.report.summary_page.chart", lambda *given: drawn.extend(given[3]))
+    broken = LogFactor("broken", None, None, None, problem="is empty")
+    _hard_iron(History([*history.factors[:2], broken, *history.factors[2:]]))
+    lines = [each for each in drawn if each.label == "by all logs"]
+    assert len(lines) == 3
+    assert all(np.isfinite(each.y).all() and len(each.y) == 7 for each in lines)
+    assert "contradicts" not in {each.label for each in drawn}  # nothing is known of it
 
 
 @pytest.mark.parametrize("width", [390, 1280])

@@ -141,7 +141,7 @@ def _show(history: History) -> None:
     ):
         sigma = calibration.sigma["hard_iron"].max() * 1e6
         rows.append([name, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}"])
-        rows[-1].append("not used; from the others" if i in unused else "")
+        rows[-1].append("not used" if i in unused else "")
     show_table(header, rows)
     show("")
     show(*(with_minus(f"jump before {' '.join(map(str, row))}") for row in history_rows(history)))

@@ -150,8 +150,13 @@ def _hard_iron(history: History) -> list[Figure]:
         mean = history.factors[i].mean
         if mean is not None:
             alone[k] = mean[HARD_IRON]
-    value = np.where(member[:, None], history.hard_iron[rows] * 1e6, np.nan)
-    band = _BAND * np.sqrt(np.diagonal(history.hard_iron_covariance[rows], axis1=1, axis2=2)) * 1e6
+    # The line passes over a log that is not used, and between the neighbours of a log of another instrument.
+    own = ~np.isin(rows, [i for group in history.groups[1:] for i in group])
+    sigma = np.sqrt(np.diagonal(history.hard_iron_covariance[rows], axis1=1, axis2=2))
+    value, band = (
+        np.column_stack([np.interp(at, at[own], column[own]) for column in 1e6 * each.T])
+        for each in (history.hard_iron[rows], _BAND * sigma)
+    )
     first = float(at[0]) if dated else 0.0
     where = dict(zip(rows, (at - first).tolist(), strict=True))
     more = {
@@ -165,7 +170,7 @@ def _hard_iron(history: History) -> list[Figure]:
             Series("by all logs", "calibrated", value[:, k], value[:, k] - band[:, k], value[:, k] + band[:, k]),
             Series("the log alone", "raw", np.where(member, alone[:, k], np.nan), style="errors"),
         ]
-        if not member.all():
+        if np.isfinite(alone[~member]).any():
             series.append(
                 Series("contradicts", "disturbed", np.where(member, np.nan, alone[:, k]), style="errors")
             )
