@@ -215,6 +215,9 @@ def test_an_earlier_calibration_is_a_prior(logs: Path, tmp_path: Path) -> None:
     assert second.configuration["gyroscope_scale"] == pytest.approx(0.01)
     assert np.all(np.abs(second.terms[-1].value) < 4 * second.terms[-1].sigma)  # of a perfect gyroscope
     assert (second.sigma["soft_iron"] < 1.1 * first.sigma["soft_iron"]).all()
+    earlier.write_text(earlier.read_text().replace("converged: true", "converged: false"))
+    doubted = run("calibrate", logs / "dive.mcap", "-o", "third", "--prior", earlier, cwd=tmp_path)
+    assert "note: the earlier calibration must not be trusted by itself" in doubted.stdout
 
 
 def test_a_result_that_must_not_be_trusted(logs: Path, tmp_path: Path) -> None:

@@ -44,6 +44,11 @@ def calibrate_log(
     from magyc_gtsam.report.verdict import judged
 
     recording = reading.recording(stage("reading"))
+    earlier = options.get("prior")
+    if isinstance(earlier, dict) and earlier.get("converged") is False:
+        cause = str(earlier.get("message", "")).split(";")[0]
+        remark = f"the earlier calibration must not be trusted by itself: {cause}"
+        recording = replace(recording, notes=(*recording.notes, remark))
     calibration = _calibrate(recording, method, stage("calibrating"), options, pairs)
     if compass > 1:
         calibration = replace(calibration, configuration={**calibration.configuration, "compass": compass})
