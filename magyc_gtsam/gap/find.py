@@ -97,11 +97,12 @@ def find_gap(
     _check_types(recording, calibration, simulated)
     report = progress or (lambda _: None)
     report(0.0)
-    share = 1.0 if simulated is None else 0.5
-    gap, result = _gap_and_named(recording, calibration, names, lambda done: report(share * done))
-    if simulated is not None and result is not None:
+    theirs, before = None, 0.0
+    if simulated is not None:  # first, since an error in it would cost the result of the recording
+        theirs, before = _side(simulated, names, "simulated: ", lambda done: report(0.5 * done)), 0.5
+    gap, result = _gap_and_named(recording, calibration, names, lambda done: report(before + (1 - before) * done))
+    if theirs is not None and result is not None:
         ours = _side(recording, names, "", lambda done: None) if calibration is not None else _side_of(gap, result)
-        theirs = _side(simulated, names, "simulated: ", lambda done: report(0.5 + 0.5 * done))
         gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
     return gap
