@@ -10,11 +10,14 @@ import pytest
 from gtsam.symbol_shorthand import A, B, H, X
 
 from magyc_gtsam.factors import (
+    KeyframeBuffer,
     KeyframeField,
     MagycError,
     NativeFactors,
     keyframe_field_factor,
+    vech,
 )
+from magyc_gtsam.simulation import simulate
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from slam_cost import Layout, Run
@@ -211,3 +214,41 @@ def test_a_noise_model_for_a_block_is_refused_with_the_remedy():
     )
     with pytest.raises(MagycError, match="`noise` is a noise model; give the standard deviation"):
         keyframe_field_factor(X(0), A(0), H(0), block, ISOTROPIC(3, 1e-6), field=drive.vehicle.field)
+
+
+@pytest.mark.parametrize(("threshold", "least"), [(None, 1.0), (0.01, 20.0)])
+@pytest.mark.parametrize("off", [0.0, 0.3])
+def test_a_rotation_that_nothing_determines_is_not_said_to_be_known(threshold, least, off):
+    """Attitudes without gravity: about the field the prior's 28.6° remain, but for different linearisation points."""
+    run = simulate("wide", 60.0, 20, 3)
+    time, rate, field = run.recording.time, run.recording.angular_rate, run.recording.magnetic_field
+    truth = [gtsam.Rot3.Quaternion(*q[[3, 0, 1, 2]]) for q in run.recording.attitude[::20]]
+    settings = gtsam.ISAM2Params()
+    settings.setFactorization("QR")
+    if threshold is not None:
+        settings.setRelinearizeThreshold(threshold)
+        settings.relinearizeSkip = 1
+    isam, native, buffer = gtsam.ISAM2(settings), NativeFactors(), KeyframeBuffer()
+    sigma, first = gtsam.noiseModel.Isotropic.Sigma, gtsam.Rot3.Rz(off) * truth[0]
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.addPriorRot3(X(0), first, sigma(3, 0.5))
+    graph.addPriorVector(A(0), vech(np.eye(3)), sigma(6, 0.3))
+    graph.addPriorPoint3(H(0), np.zeros(3), sigma(3, 1.0))
+    for key, value in ((X(0), first), (A(0), vech(np.eye(3))), (H(0), np.zeros(3))):
+        values.insert(key, value)
+    isam.update(graph, values)
+    buffer.add_rate(time[0], rate[0] - run.truth.gyro_bias)
+    for k in range(1, len(truth)):
+        rows, turn = slice(20 * k - 19, 20 * k + 1), truth[k - 1].between(truth[k])
+        buffer.add_rate(time[rows], rate[rows] - run.truth.gyro_bias)
+        buffer.add_field(time[rows], field[rows])
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        values.insert(X(k), isam.calculateEstimateRot3(X(k - 1)) * turn)
+        graph.push_back(gtsam.BetweenFactorRot3(X(k - 1), X(k), turn, sigma(3, 1e-3)))
+        block = buffer.close(time[20 * k])
+        graph.push_back(keyframe_field_factor(X(k), A(0), H(0), block, 1e-6, field=run.field, field_unit=50e-6))
+        native.update(isam, graph, values)
+    native.settle(isam)
+    axis = isam.calculateEstimateRot3(X(k)).unrotate(run.field / np.linalg.norm(run.field))
+    stated = np.degrees(np.sqrt(axis @ isam.marginalCovariance(X(k)) @ axis))
+    assert least < stated < 29.0
