@@ -64,7 +64,11 @@ def place_of(left: Sequence[str], first: Look) -> str:
         if score.name in names and score.generic:
             return f"an effect that varies with {score.place} is missing"
     label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
-    return f"an effect similar to “{label}” is missing" if label else "an effect that follows no logged variable is missing"
+    return (
+        f"an effect similar to “{label}” is missing"
+        if label
+        else "an effect that follows no logged variable is missing"
+    )
 
 
 def _place(left: Sequence[str], first: Look, catalogue: str) -> str:
