@@ -170,11 +170,11 @@ def _error_to_json(error: ModelError | None) -> dict[str, object] | None:
 def _error_from_json(data: dict[str, Any] | None) -> ModelError | None:
     if data is None:
         return None
-    kinds = (
+    components, possible = (
         tuple(Component(**c | {"covariance": np.array(c["covariance"])}) for c in data[name])
         for name in ("components", "possible")
     )
-    return ModelError(np.array(data["covariance"]), *kinds)
+    return ModelError(np.array(data["covariance"]), components, possible)
 
 
 def _calibration_to_json(calibration: Calibration | None) -> dict[str, object] | None:

@@ -69,7 +69,7 @@ class Tested(NamedTuple):
 
 
 def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Tested]) -> list[Array]:
-    """Return, for each family, the parameter error (P, k) per unit of each column.
+    """Return, for each family, the error (p, k) of θ and of the terms per unit of each column.
 
     The error is relative to the parameters that hold at the end of the recording.
     """

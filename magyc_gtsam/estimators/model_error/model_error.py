@@ -9,7 +9,8 @@ are added in proportion to their posterior probability.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,11 +43,13 @@ class ModelError:
         covariance: (P, P) of θ, to be added to that of the sensors' noise.
         components: effects that the data show.
         possible: effects that the data neither show nor exclude.
+        of_terms: (P + T, T) covariance of θ and the T values of the model's terms with these values.
     """
 
     covariance: Array
     components: tuple[Component, ...] = ()
     possible: tuple[Component, ...] = ()
+    of_terms: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def probable(self) -> Array:
@@ -60,11 +63,12 @@ class ModelError:
         probable = other.share > _REPORTED_SHARE
         components = (*self.components, own) if probable else self.components
         possible = self.possible if probable else (*self.possible, own)
-        padded = [
+        components, possible = (
             tuple(replace(c, covariance=_padded(c.covariance, size)) for c in each)
             for each in (components, possible)
-        ]
-        return ModelError(_padded(self.covariance, size) + own.covariance, *padded)
+        )
+        covariance = _padded(self.covariance, size) + own.covariance
+        return replace(self, covariance=covariance, components=components, possible=possible)
 
     @property
     def field_variation(self) -> tuple[float, float | None] | None:
@@ -97,7 +101,7 @@ def model_error(fit: Fit, recording: Streams | None = None) -> ModelError:
         if each is not None
     ]
     covariance = error.covariance + sum((each.covariance for each in found), np.zeros_like(error.covariance))
-    return ModelError(covariance, (*error.components, *found), error.possible)
+    return replace(error, covariance=covariance, components=(*error.components, *found))
 
 
 def _of_hard_iron(name: str, sentence: str, size: float, gain: float, second: Array, count: int) -> Component:
@@ -109,7 +113,8 @@ def _of_hard_iron(name: str, sentence: str, size: float, gain: float, second: Ar
 
 def _of_windows(fit: Fit, step: float) -> ModelError:
     if len(fit.chain.windows) < _LEAST_WINDOWS:
-        return ModelError(np.zeros_like(fit.reduced.information))
+        count = len(fit.free) + (0 if fit.terms is None else fit.terms.columns.size)
+        return _of_theta(np.zeros((count, count)), fit)
     beside, motion = fit.beside, WindowMotion.of(fit, step)
     # A misalignment and gyroscope scales that the fit estimates are in its own covariance.
     estimated = {"skew"} if fit.skew is not None else set()
@@ -125,4 +130,15 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
     averaged = not_excluded(beside, motion, every, shown)
     reported = tuple(c for c in averaged if c.share > _REPORTED_SHARE and c.gain > _REPORTED_GAIN)
     covariance = shown.covariance + sum((c.covariance for c in averaged), np.zeros_like(shown.covariance))
-    return ModelError(covariance, shown.components + reported, tuple(c for c in averaged if c not in reported))
+    return _of_theta(covariance, fit, shown.components + reported, [c for c in averaged if c not in reported])
+
+
+def _of_theta(
+    covariance: Array, fit: Fit, components: Sequence[Component] = (), possible: Sequence[Component] = ()
+) -> ModelError:
+    """Return the model error by the covariance (p, p) of θ and the terms, and by components of the same size."""
+    size = len(fit.free)
+    shown, averaged = (
+        tuple(replace(c, covariance=c.covariance[:size, :size]) for c in each) for each in (components, possible)
+    )
+    return ModelError(covariance[:size, :size], shown, averaged, covariance[:, size:])

@@ -27,7 +27,7 @@ _LEAST_ODDS = 0.03  # upper bound of the posterior odds below which a family is 
 def not_excluded(
     beside: ColumnProducts, motion: WindowMotion, every: Sequence[Tested], shown: Shown
 ) -> list[Component]:
-    """Return a component for each family that is not excluded.
+    """Return a component for each family that is not excluded, with a covariance (p, p) of θ and of the terms.
 
     Each is considered in addition to the families that are shown and in place of any one of them; the likelier
     hypothesis counts.

@@ -26,8 +26,8 @@ class Shown(NamedTuple):
     """The joint fit of the significant families.
 
     Attributes:
-        covariance: (P, P) of θ.
-        components: families with an amplitude above 0.
+        covariance: (p, p) of θ and of the terms.
+        components: families with an amplitude above 0, with covariances (p, p).
         normal, score, variance: G (K, K), s (K,) and v (K,) of all columns, for tests of further families.
         found: the families with the rows of their columns.
         stacked: their columns; None if there are none.
@@ -49,7 +49,7 @@ class Shown(NamedTuple):
 
 def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Tested]) -> Shown:
     """Fit the amplitudes of the families `found` jointly, in the order given."""
-    varying = np.zeros_like(beside.fit.reduced.information)
+    varying = np.zeros((len(beside.estimated.free),) * 2)
     if not found:
         return Shown(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), (), None)
     stacked = Stacked.of([each.new for each in found])
@@ -72,15 +72,15 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
             words = family.sentence(size, period)
             components.append(Component(family.name, words, size, each.gain, covariance, period, family.of_place))
     every = np.concatenate(each_move, axis=1)
-    covariance = _to_second_order(every @ fitted.second @ every.T + varying)
+    covariance = _to_second_order(every @ fitted.second @ every.T + varying, len(beside.fit.free) > PARAMETERS)
     pairs = tuple(zip(found, groups, strict=True))
     return Shown(covariance, tuple(components), normal, score, fitted.variance, pairs, stacked)
 
 
-def _to_second_order(covariance: Array) -> Array:
+def _to_second_order(covariance: Array, with_skew: bool) -> Array:
     """Add the second-order error, which may lie in any direction of the same block of parameters."""
     result = covariance.copy()
-    for rows in _BLOCKS if len(covariance) == PARAMETERS else (*_BLOCKS, SKEW):
+    for rows in (*_BLOCKS, SKEW) if with_skew else _BLOCKS:
         size = float(np.trace(covariance[rows, rows]))
         result[rows, rows] += _SECOND_ORDER**2 * size * np.eye(rows.stop - rows.start)
     return result

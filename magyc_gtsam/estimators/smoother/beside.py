@@ -170,15 +170,16 @@ class ColumnProducts(WhitenedFit):
 
     def move(self, new: New) -> Array:
         """Return S (P, k) of a group of columns."""
-        return self.moves([new])[0]
+        return self.moves([new])[0][: len(self.fit.free)]
 
     def moves(self, groups: Sequence[New]) -> list[Array]:
-        """Return S (P, k) of each group of columns."""
+        """Return (p, k) of each group of columns: S, and below it the same for the terms of the model."""
         if not groups:
             return []
         explained = np.concatenate([new.explained for new in groups], axis=1)
-        result = self.estimated.moved(explained)[: len(self.fit.free)]
-        return np.split(result, np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
+        return np.split(
+            self.estimated.moved(explained), np.cumsum([len(new.score) for new in groups[:-1]]), axis=1
+        )
 
 
 class _Part(NamedTuple):

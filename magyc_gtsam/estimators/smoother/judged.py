@@ -65,6 +65,7 @@ def judge(
     samples: Streams,
     strength: float | None = None,
     strength_sigma: float = 0.0,
+    named: Askew | None = None,
 ) -> Judgement:
     """Assess the posterior of θ.
 
@@ -73,13 +74,14 @@ def judge(
         unexplained: the model error of the same fit.
         recording: the motion; samples: those of both sensors, which may be fewer.
         strength: T, known field strength, or None; strength_sigma: its standard deviation.
+        named: uncertainty of a misalignment that is a term of the model.
     """
     parameters, sensors, skew, _ = known
     scale = IronScale.of(unvech(parameters[:6]), strength, strength_sigma)
     soft_iron, unit = scale.soft_iron, scale.strength
     covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]
     reported, of_sensors = scale.covariance(covariance[:12, :12]), scale.covariance(sensors[:12, :12])
-    askew = _askew(skew, unit, unexplained.covariance)
+    askew = _askew(skew, unit, unexplained.covariance) if named is None else named
     assessor = Assessor(soft_iron, unit, recording, parameters[6:9], askew)
     observability = assessor.of(of_sensors)
     whole = observability
@@ -121,12 +123,7 @@ def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | No
 
 def _skew_diagnostics(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
     """Return the misalignment's entry in the diagnostics, as JSON types."""
-    if skew is None or askew is None:
+    if askew is None:
         return {}
-    return {
-        "skew": {
-            "evidence": skew.evidence,
-            "covariance": askew.covariance.tolist(),
-            "cross": askew.cross.tolist(),
-        }
-    }
+    evidence = {} if skew is None else {"evidence": skew.evidence}
+    return {"skew": {**evidence, "covariance": askew.covariance.tolist(), "cross": askew.cross.tolist()}}

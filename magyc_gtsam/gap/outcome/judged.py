@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.model_error import model_error
+from magyc_gtsam.estimators.gauge import IronScale
+from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.skew import skew_from_score
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.gap.model.descent import prior_of
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.result import Doubt
+from magyc_gtsam.level_turn import Askew
 from magyc_gtsam.recording import Recording
 
 _SKEW = "misalignment"  # the term that is the skew of the chips, which is then not estimated a second time
@@ -43,8 +48,9 @@ def judged(
     sensors[np.ix_(model.free, model.free)] = result.covariance[:count, :count]
     if fit.skew is not None:
         sensors += fit.skew.gain @ fit.skew.covariance @ fit.skew.gain.T
-    known = Posterior(model.parameters, sensors, fit.skew)
-    judgement = judge(known, model_error(fit, recording), recording, recording, strength)
+    known, error = Posterior(model.parameters, sensors, fit.skew), model_error(fit, recording)
+    unit = IronScale.of(unvech(model.parameters[:6]), strength).strength
+    judgement = judge(known, error, recording, recording, strength, named=_askew(result, error, unit))
     observability = judgement.observability
     reasons, doubt = list(judgement.reasons), None
     if reasons:
@@ -58,6 +64,7 @@ def judged(
     whole = replace(
         calibration,
         covariance=judgement.reported,
+        terms=_widened_terms(calibration.terms, result, error),
         noise_covariance=judgement.of_sensors,
         delay_sigma=float(np.sqrt(judgement.delay_variance)) if late else None,
         converged=calibration.converged and not reasons,
@@ -66,6 +73,32 @@ def judged(
         diagnostics={**calibration.diagnostics, **judgement.diagnostics},
     )
     return whole, doubt
+
+
+def _askew(result: Refit, error: ModelError, strength: float) -> Askew | None:
+    """Return the uncertainty of a misalignment that is a term of the model, by the sensors and by the model error."""
+    model = result.model
+    index = next((i for i, term in enumerate(model.terms) if term.name == _SKEW), None)
+    if index is None:
+        return None
+    rows, count = result.rows_of(index), int(model.free.sum())
+    own = rows - count
+    cross = error.of_terms[:PARAMETERS, own]
+    cross[model.free] += result.covariance[:count, rows]
+    cross = -cross[:9]  # the term turns the gyroscope, ε the magnetometer
+    cross[:6] /= strength
+    return Askew(result.covariance[np.ix_(rows, rows)] + error.of_terms[PARAMETERS + own][:, own], cross)
+
+
+def _widened_terms(terms: Sequence[Term], result: Refit, error: ModelError) -> tuple[Term, ...]:
+    """Return the terms, of which those of the model come first, with the model error in their covariance."""
+    count, widened = int(result.model.free.sum()), list(terms)
+    for index, term in enumerate(result.model.terms):
+        if term.name != "timing":
+            own = result.rows_of(index) - count
+            more = error.of_terms[PARAMETERS + own][:, own]
+            widened[index] = replace(terms[index], covariance=terms[index].covariance + more)
+    return tuple(widened)
 
 
 def fit_of(twin: Twin) -> Fit:
