@@ -26,10 +26,11 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
 
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
+from magyc_gtsam.factors.chain.preintegration import interruptions
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import measured
 from magyc_gtsam.factors.one_thread import one_thread
@@ -85,6 +86,9 @@ class KeyframeField:
     ) -> KeyframeField:
         """Integrate the gyroscope from the keyframe to every magnetometer sample.
 
+        Samples beyond a pause of the gyroscope, as seen from the keyframe, are left out: a step of more than 0.5 s and
+        of ten median steps.
+
         Args:
             magnetometer: time (n,) s and field (n, 3) T in the sensor's frame.
             gyroscope: time (g,) s, strictly ascending, across all those times and the keyframe's; angular
@@ -96,7 +100,8 @@ class KeyframeField:
             interval_mean: the rates are means since the previous stamp instead.
 
         Raises:
-            MagycError: wrong shapes or units, values that are not finite, a gyroscope that does not cover the block.
+            MagycError: wrong shapes or units, values that are not finite, a gyroscope that does not cover the block or
+                pauses at the keyframe.
         """
         when = measured("magnetometer time", magnetometer[0], (None,)) - delay
         field = measured("magnetic field", magnetometer[1], (len(when), 3))
@@ -116,6 +121,8 @@ class KeyframeField:
                 f"keyframe field from {start:g} to {end:g} s needs ascending gyroscope samples across it, "
                 f"got {covered}"
             )
+        near = _without_pause(keyframe, when, time)
+        when, field = when[near], field[near]
         turn, lever, spin, spread = _about(keyframe, when, time, rate, b, interval_mean)
         mounting = sensor_rotation(body_R_sensor)
         design = np.empty((3, 4, 3, len(when)))  # samples last, so that each operation runs along them
@@ -205,6 +212,24 @@ class KeyframeField:
     def _columns(self) -> Array:
         """The design as (12 or 15, k · 3), with the coefficients of each component of y in one row."""
         return np.ascontiguousarray(self.design.reshape(-1, self.design.shape[2]).T)
+
+
+def _without_pause(keyframe: float, when: Array, time: Array) -> NDArray[np.bool_]:
+    """Return which of the times `when` (n,) the gyroscope connects with the keyframe without a pause.
+
+    Raises:
+        MagycError: none.
+    """
+    holes = interruptions(time)
+    first, last = np.r_[time[0], time[holes + 1]], np.r_[time[holes], time[-1]]  # of each stretch without a pause
+    own = int(np.searchsorted(first, keyframe, side="right")) - 1
+    near = (when >= first[own]) & (when <= last[own])
+    if keyframe > last[own] or not near.any():
+        raise MagycError(
+            f"keyframe field: the gyroscope pauses between the keyframe at {keyframe:g} s and the samples of the "
+            "magnetometer; leave this block out"
+        )
+    return near
 
 
 def _about(

@@ -269,6 +269,20 @@ def test_buffer_goes_on_after_a_sample_that_is_refused():
         np.testing.assert_array_equal(disturbed.close(end).design, whole.close(end).design)
 
 
+def test_samples_beyond_a_pause_of_the_gyroscope_are_left_out():
+    recording = simulate("wide", 10.0, 20, 2).recording
+    time, field, rate = recording.time, recording.magnetic_field, recording.angular_rate
+    kept = (time < 4.0) | (time > 5.0)
+    for keyframe, rows in ((2.0, time < 4.0), (9.0, time > 5.0)):
+        block = KeyframeField.from_samples((time, field), (time[kept], rate[kept]), keyframe)
+        alone = KeyframeField.from_samples((time[rows], field[rows]), (time[rows], rate[rows]), keyframe)
+        assert block.samples == rows.sum()
+        np.testing.assert_allclose(block.design, alone.design, atol=1e-12)
+    for keyframe, rows in ((4.5, slice(None)), (9.0, slice(0, 40))):
+        with pytest.raises(MagycError, match="pauses between the keyframe"):
+            KeyframeField.from_samples((time[rows], field[rows]), (time[kept], rate[kept]), keyframe)
+
+
 def test_a_block_of_one_sample_at_its_keyframe_is_finite():
     recording = simulate("wide", 4.0, 20, 2).recording
     for row in (0, 3, 79):

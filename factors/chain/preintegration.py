@@ -29,9 +29,22 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, matrices
 from magyc_gtsam.factors.errors import MagycError
 
+HOLE = 0.5  # s, a longer step of the gyroscope interrupts a chain
 _ROWS = 54  # rows per sample: R 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
 _CHUNK = 16384  # samples whose matrices are held at a time, which bounds the memory
 _MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the neighbouring samples
+
+
+def interruptions(time: Array, hole: float = HOLE) -> np.ndarray:
+    """Return the indices of the steps between gyroscope stamps (n,) across which its rotation is not known.
+
+    Args:
+        time: (n,) s.
+        hole: s, least length; also ten times the median step.
+    """
+    step = np.diff(time)
+    found = np.flatnonzero(step > hole)
+    return found[step[found] > 10 * float(np.median(step))] if len(found) else found
 
 
 def windows_passed(step: Array, rate: Array, turn: float, length: float) -> Array:
@@ -76,7 +89,7 @@ class Preintegration:
     interval_mean: bool = False
     length: float = 1.0
     turn: float = 0.2
-    hole: float = 0.5
+    hole: float = HOLE
     begun: float = 0.0
     starts: np.ndarray = field(init=False)
     linked: np.ndarray = field(init=False)
@@ -85,7 +98,7 @@ class Preintegration:
     def __post_init__(self) -> None:
         if len(self.gyroscope_time) < 3:
             raise MagycError(f"{len(self.gyroscope_time)} gyroscope samples, at least 3 are needed")
-        holes = self._holes()
+        holes = interruptions(self.gyroscope_time, self.hole)
         # Outside the gyroscope's span and inside its holes the attitude is unknown.
         before, after = self.gyroscope_time[holes], self.gyroscope_time[holes + 1]
         known = self.magnetometer_time >= self.gyroscope_time[0]
@@ -112,12 +125,6 @@ class Preintegration:
     def step(self) -> Array:
         """Intervals between gyroscope samples (G − 1,) in s."""
         return np.diff(self.gyroscope_time)
-
-    def _holes(self) -> np.ndarray:
-        """Return the indices of the gyroscope steps that interrupt the chain."""
-        step = self.step
-        holes = np.flatnonzero(step > self.hole)
-        return holes[step[holes] > 10 * float(np.median(step))] if len(holes) else holes
 
     def _ended(self, holes: np.ndarray) -> Array:
         """Return the number of windows (G,) that have ended by each stamp; a hole ends a window, too."""
