@@ -150,6 +150,7 @@ def log(tmp_path_factory):
 def test_the_command_writes_a_folder_for_an_accelerometer(log, tmp_path):
     result = calibrated(log, "-o", "out", "--option", "gravity=9.81", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("✔ Calibrated: bias known to")
     assert {f.name for f in (tmp_path / "out").iterdir()} == {
         "calibration.yaml",
         "configuration.yaml",
@@ -188,6 +189,9 @@ def test_the_command_says_what_is_wrong(log, tmp_path, capsys):
     assert code == 1
     assert "too little motion" in output.err
     assert not json.loads(output.out)["trusted"]
+    code, output = said(few, "-o", tmp_path / "few")
+    assert output.out.startswith("✘ Do not use this calibration: too little motion")
+    assert "Bias" not in output.out
     assert (tmp_path / "few" / "report.html").exists()
 
 

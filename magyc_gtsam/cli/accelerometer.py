@@ -12,8 +12,7 @@ import typer
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_configuration
-from magyc_gtsam.cli.terminal import noted, show, show_parameters, stages
-from magyc_gtsam.foreign_text import printable
+from magyc_gtsam.cli.terminal import concluded, noted, show, show_parameters, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.estimators.autocal.accelerometer import AccelerometerCalibration
@@ -55,14 +54,16 @@ def calibrate_accelerometer(
         write_configuration(part, reading, recording, cast(Any, calibration), options, arguments)
         write_accelerometer_report(part / "report.html", replace(recording, name=reading.log.name), calibration)
         page(1.0)
+    from magyc_gtsam.report.verdict import Verdict
+
+    worth = f"bias known to {calibration.sigma['bias'].max():.2g} m/s² (1σ)" if calibration.converged else ""
+    verdict = Verdict(calibration.converged, cause="" if worth else calibration.message, worth=worth)
     if json:
         _show_json(folder, calibration)
     elif not quiet:
+        show(verdict.sentence)
         _show(folder, reading.log, recording, calibration)
-    if calibration.converged:
-        return 0
-    typer.echo(f"magyc-gtsam: the result must not be trusted: {printable(calibration.message)}", err=True)
-    return 1
+    return concluded(verdict, shown=not (quiet or json))
 
 
 def _calibrate(
@@ -88,7 +89,8 @@ def _show(folder: Path, log: Path, recording: Recording, calibration: Accelerome
     from magyc_gtsam.report.accelerometer import parameter_rows
 
     show(f"{log.name}: {recording.duration:.1f} s, accelerometer, {calibration.method}", "")
-    show_parameters(parameter_rows(calibration))
+    if calibration.converged:
+        show_parameters(parameter_rows(calibration))
     show(
         f"samples in motion, with reduced weight: {calibration.diagnostics['outliers']} of "
         f"{calibration.diagnostics['samples']}",
