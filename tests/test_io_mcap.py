@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io import info, read, write_mcap
+from magyc_gtsam.io import info, info_and_recording, read, write_mcap
 from magyc_gtsam.io.ros2 import definition, encode
 from magyc_gtsam.recording import Recording
 
@@ -397,6 +397,14 @@ def test_a_clock_that_is_set(log: Path, tmp_path: Path, set_by: int, says: str) 
         second.magnetometer.value, whole.magnetometer.value[-len(second.magnetometer.value) :]
     )
     assert_same(whole, read(back, stamps="log"))
+
+
+def test_what_an_imu_does_not_hold_is_not_listed(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", replace(small(), attitude=None))
+    described, recording = info_and_recording(tmp_path / "a.mcap")
+    assert recording is not None
+    (imu,) = [source for source in described.sources if "angular_rate" in source.serves_as]
+    assert imu.serves_as == ("angular_rate", "acceleration")
 
 
 def test_header_never_filled_in(log: Path, tmp_path: Path) -> None:

@@ -133,7 +133,16 @@ def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[Log
         return replace(described, problem=str(error)), None
     notes = tuple(n for n in recording.notes if n not in described.warnings)
     path_length = None if recording.angular_rate is None else turned(*recording.gyroscope)
-    return replace(described, warnings=(*described.warnings, *notes), turned=path_length), recording
+    # Messages of an IMU have a place for each of these, and say in themselves whether they hold one.
+    absent = {name for name in ("attitude", "acceleration") if getattr(recording, name) is None}
+    sources = tuple(
+        replace(each, serves_as=tuple(use for use in each.serves_as if use not in absent))
+        if "angular_rate" in each.serves_as
+        else each
+        for each in described.sources
+    )
+    warnings = (*described.warnings, *notes)
+    return replace(described, sources=sources, warnings=warnings, turned=path_length), recording
 
 
 def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:
