@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,7 +11,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.keyframe_field import KeyframeField
 from magyc_gtsam.factors.pose import sensor_rotation
-from magyc_gtsam.factors.units import check_rates, check_readings
+from magyc_gtsam.factors.units import LIMITS, check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
 
 
@@ -44,6 +46,11 @@ class KeyframeBuffer:
             MagycError: stamps and samples do not match, a value is not finite, the unit is implausible, or a stamp
                 lies before that of an earlier sample.
         """
+        one = _usual(time, magnetic_field, LIMITS.reading)
+        if one is not None and (not self._field_time or one[0] - self._delay >= self._field_time[-1]):
+            self._field_time.append(one[0] - self._delay)
+            self._field.append(one[1])
+            return
         stamps, samples = _block("add_field", time, magnetic_field)
         check_readings("add_field", samples)
         stamps -= self._delay
@@ -58,6 +65,11 @@ class KeyframeBuffer:
             MagycError: stamps and samples do not match, a value is not finite, the unit is implausible, or a stamp
                 is not after those of all earlier samples.
         """
+        one = _usual(time, angular_rate, LIMITS.rate)
+        if one is not None and (not self._rate_time or one[0] > self._rate_time[-1]):
+            self._rate_time.append(one[0])
+            self._rate.append(one[1])
+            return
         stamps, samples = _block("add_rate", time, angular_rate)
         check_rates("add_rate", samples)
         _check_order("add_rate", stamps, self._rate_time, strictly=True)
@@ -94,6 +106,16 @@ class KeyframeBuffer:
             keep = min(keep, max(int(np.searchsorted(self._rate_time, self._field_time[0])) - 1, 0))
         del self._rate_time[:keep], self._rate[:keep]
         return block
+
+
+def _usual(time: ArrayLike, value: ArrayLike, limit: float) -> tuple[float, list[float]] | None:
+    """Return a single sample that is finite and within the limit, without numpy's cost per call; otherwise None."""
+    if not isinstance(time, float) or not isinstance(value, np.ndarray) or value.shape != (3,):
+        return None
+    x, y, z = row = value.tolist()
+    if value.dtype.kind != "f" or not (-limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit):
+        return None
+    return (time, row) if math.isfinite(time) else None
 
 
 def _block(name: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Array]:
