@@ -143,11 +143,9 @@ def _attitude(motion: WindowMotion) -> Products:
 
 
 def _tilt(motion: WindowMotion) -> Products:
-    """Return columns linear in the direction of the vertical, along the sensor's axes: currents and loads that follow
-    pitch or roll.
+    """Return columns linear in the vertical, along the sensor's axes: currents and loads that follow pitch or roll.
 
-    The vertical is the axis of the world about which the instrument turns most. With all three axes of the world in its
-    place there are 27 columns, which cost the evidence of a single current some 20 nats.
+    The vertical is the axis of the world about which the instrument turns most; all three axes would cost 20 nats more.
     """
     turned = np.einsum("jin,jn->in", motion.attitude, motion.rate)
     vertical = np.linalg.eigh(turned @ turned.T)[1][:, -1]
@@ -155,10 +153,7 @@ def _tilt(motion: WindowMotion) -> Products:
 
 
 def _speed(motion: WindowMotion) -> Products:
-    """Return columns of the size of the rate about each axis less its mean, as of the currents of thrusters and motors.
-
-    The size of the whole rate in their place has too little of a turn about one axis beside faster ones about others.
-    """
+    """Return columns of the size of the rate about each axis less its mean, as of the currents of thrusters."""
     size = np.abs(motion.rate)
     size -= size.mean(axis=1, keepdims=True)
     return motion.in_sensor(size / max(float(np.sqrt(np.mean(size**2))), ALIKE))
@@ -229,10 +224,6 @@ def _bent_rate(motion: WindowMotion) -> RateErrors:
     return motion.about_each_axis(motion.spread * products)
 
 
-def _bias(motion: WindowMotion, profiles: Array) -> RateErrors:
-    return motion.about_each_axis(profiles)
-
-
 def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
     """Return the function for the hard iron at the end of the recording of waves along the sensor's axes."""
 
@@ -296,8 +287,10 @@ FAMILIES = (
     ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
     ColumnFamily("gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, first=True, unit="share"),
-    _in_time("gyroscope:drift", _BIASED, _bias, 0.015, _SLOWEST, unit="rate", first=True),
-    _in_time("gyroscope:wander", _BIASED, _bias, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"),
+    _in_time("gyroscope:drift", _BIASED, WindowMotion.about_each_axis, 0.015, _SLOWEST, unit="rate", first=True),
+    _in_time(
+        "gyroscope:wander", _BIASED, WindowMotion.about_each_axis, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"
+    ),
     ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),
     ColumnFamily("gyroscope:field", _TILTED, lambda m: m.about_each_axis(m.unit), 0.0075, 3, unit="rate"),
     ColumnFamily("halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half),
