@@ -350,10 +350,11 @@ def test_wrong_stamps_lose_and_delay_nothing() -> None:
         stamp = {1000: 0.0, 1500: 1e12}.get(k, 1.7e9 + k / 20)
         one = Samples(np.array([stamp]), np.zeros((1, 3)))
         monitor.take(NewSamples(one, one), k / 20)
-    health = monitor.health
-    assert health.missing == 0
-    assert health.late < 1e-3
-    assert health.rate == pytest.approx((20, 20), rel=0.02)
+        health = monitor.health
+        assert health.missing == 0
+        assert health.late < 1e-3
+        if k >= 100:
+            assert health.rate == pytest.approx((20, 20), rel=0.03)
 
 
 def test_rate_losses_and_delay() -> None:

@@ -90,7 +90,7 @@ class StreamMonitor:
                 self._quickest.pop()
             self._quickest.append((arrived, behind))
             late = behind - self._quickest[0][1]
-        self._blocks.append((arrived, late, counts, (self._steps[0].last, self._steps[1].last)))
+        self._blocks.append((arrived, late, counts, (self._steps[0].elapsed, self._steps[1].elapsed)))
 
     def _forget(self, now: float) -> None:
         """Drop batches that are too old to count."""
@@ -105,7 +105,7 @@ class StreamMonitor:
         late = max((late for _, late, _, _ in self._blocks), default=0.0)
         rates = []
         for sensor in range(2):
-            ends = [lasts[sensor] for _, _, _, lasts in self._blocks]
+            ends = [elapsed[sensor] for _, _, _, elapsed in self._blocks]
             count = sum(counts[sensor] for _, _, counts, _ in list(self._blocks)[1:])
             rates.append(count / (ends[-1] - ends[0]) if len(ends) > 1 and ends[-1] > ends[0] else 0.0)
         return StreamHealth(
@@ -122,6 +122,7 @@ class _Steps:
 
     def __init__(self) -> None:
         self.count = self.missing = 0
+        self.elapsed = 0.0  # s, by all steps but those that a wrong stamp makes
         self.last = -np.inf
         self._recent: Array = np.empty(0)
 
@@ -132,6 +133,7 @@ class _Steps:
         steps = np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0])
         steps = steps[(steps > 0) & (steps < _LEAP)]
         self.last = float(time[-1])
+        self.elapsed += float(steps.sum())
         self._recent = np.concatenate([self._recent, steps])[-_STEPS:]
         if len(self._recent) >= _FEWEST_STEPS and (period := float(np.median(self._recent))) > 0:
             wide = steps[steps > _MISSING * period]
