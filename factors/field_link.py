@@ -77,9 +77,9 @@ def preintegrate(
     w = measured("angular_rate", angular_rate, (len(t), 3))
     b = measured("bias", bias, (3,))
     if len(t) < 2 or (np.diff(t) <= 0).any() or not t[0] <= start < end <= t[-1]:
-        covered = f"{t[0]:g} to {t[-1]:g} s" if len(t) else "none"
+        covered = f"{t[0]:.3f} to {t[-1]:.3f} s" if len(t) else "none"
         raise MagycError(
-            f"field link from {start:g} to {end:g} s needs ascending samples across it, got {covered}"
+            f"field link from {start:.3f} to {end:.3f} s needs ascending samples across it, got {covered}"
         )
     inside = (t > start) & (t < end)
     stamps = np.concatenate([[start], t[inside], [end]])

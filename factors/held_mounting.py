@@ -48,6 +48,7 @@ class MountingLimits:
             is known, by hundreds while it turns. Such a block is left out.
         lever: rad/rad, largest entry of D on an attitude. In a graph whose tilt is not determined D would grow without
             bound; it then starts at zero again.
+        growth: factor of the number of blocks between two solutions.
     """
 
     prior: float = math.radians(2.0)

@@ -53,9 +53,8 @@ class KeyframeBuffer:
             return
         stamps, samples = _block("add_field", time, magnetic_field)
         check_readings("add_field", samples)
-        stamps -= self._delay
-        _check_order("add_field", stamps, self._field_time, strictly=False)
-        self._field_time += stamps.tolist()
+        _check_order("add_field", stamps, self._field_time, strictly=False, delay=self._delay)
+        self._field_time += (stamps - self._delay).tolist()
         self._field += samples.tolist()
 
     def add_rate(self, time: ArrayLike, angular_rate: ArrayLike) -> None:
@@ -120,7 +119,7 @@ def _usual(time: ArrayLike, value: ArrayLike, limit: float) -> tuple[float, list
 
 def _block(name: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Array]:
     """Return stamps (N,) and samples (N, 3) of one sample or a block."""
-    stamps, samples = np.array(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
+    stamps, samples = np.asarray(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
     if stamps.ndim > 1 or samples.shape != (*stamps.shape, 3):
         raise MagycError(
             f"{name}: samples of shape {samples.shape} for stamps of shape {stamps.shape}, expected "
@@ -131,13 +130,13 @@ def _block(name: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Array]:
     return np.atleast_1d(stamps), np.atleast_2d(samples)
 
 
-def _check_order(name: str, stamps: Array, before: list[float], *, strictly: bool) -> None:
-    """Raise an error for stamps that do not follow each other and those before."""
-    step = np.diff(np.r_[before[-1:], stamps])
-    back = np.flatnonzero(step <= 0 if strictly else step < 0)
+def _check_order(name: str, stamps: Array, before: list[float], *, strictly: bool, delay: float = 0.0) -> None:
+    """Raise an error for stamps that do not follow each other and those before, which were taken less the delay."""
+    when = np.r_[before[-1:], stamps - delay]
+    back = np.flatnonzero(np.diff(when) <= 0 if strictly else np.diff(when) < 0)
     if len(back):
-        at = stamps[len(stamps) - len(step) + back[0]]
+        earlier, at = when[back[0] : back[0] + 2] + delay
         raise MagycError(
-            f"{name}: the sample at {at:g} s comes after one at {at - step[back[0]]:g} s; add samples in the order "
+            f"{name}: the sample at {at:.3f} s comes after one at {earlier:.3f} s; add samples in the order "
             "of their stamps, and leave out those that are late"
         )

@@ -116,9 +116,9 @@ class KeyframeField:
             raise MagycError("keyframe field: no magnetometer sample; close a block after the first one")
         start, end = min(keyframe, when.min()), max(keyframe, when.max())
         if len(time) < 2 or (np.diff(time) <= 0).any() or not time[0] <= start <= end <= time[-1]:
-            covered = f"{time[0]:g} to {time[-1]:g} s" if len(time) else "nothing"
+            covered = f"{time[0]:.3f} to {time[-1]:.3f} s" if len(time) else "nothing"
             raise MagycError(
-                f"keyframe field from {start:g} to {end:g} s needs ascending gyroscope samples across it, "
+                f"keyframe field from {start:.3f} to {end:.3f} s needs ascending gyroscope samples across it, "
                 f"got {covered}"
             )
         near = _without_pause(keyframe, when, time)
@@ -218,7 +218,7 @@ def _without_pause(keyframe: float, when: Array, time: Array) -> NDArray[np.bool
     """Return which of the times `when` (n,) the gyroscope connects with the keyframe without a pause.
 
     Raises:
-        MagycError: none.
+        MagycError: the keyframe lies in a pause, or none of the times is connected with it.
     """
     holes = interruptions(time)
     first, last = np.r_[time[0], time[holes + 1]], np.r_[time[holes], time[-1]]  # of each stretch without a pause
@@ -226,7 +226,7 @@ def _without_pause(keyframe: float, when: Array, time: Array) -> NDArray[np.bool
     near = (when >= first[own]) & (when <= last[own])
     if keyframe > last[own] or not near.any():
         raise MagycError(
-            f"keyframe field: the gyroscope pauses between the keyframe at {keyframe:g} s and the samples of the "
+            f"keyframe field: the gyroscope pauses between the keyframe at {keyframe:.3f} s and the samples of the "
             "magnetometer; leave this block out"
         )
     return near

@@ -269,6 +269,15 @@ def test_buffer_goes_on_after_a_sample_that_is_refused():
         np.testing.assert_array_equal(disturbed.close(end).design, whole.close(end).design)
 
 
+def test_a_late_sample_is_named_by_its_own_stamp():
+    """In s since 1970, with a delay that the buffer takes off."""
+    buffer = KeyframeBuffer(delay=0.25)
+    buffer.add_field([1.7e9, 1.7e9 + 0.5], np.full((2, 3), 3e-5))
+    for late in (1.7e9 + 0.125, [1.7e9 + 0.125]):
+        with pytest.raises(MagycError, match=r"sample at 1700000000\.125 s comes after one at 1700000000\.500 s"):
+            buffer.add_field(late, np.full((*np.shape(late), 3), 3e-5))
+
+
 def test_samples_beyond_a_pause_of_the_gyroscope_are_left_out():
     recording = simulate("wide", 10.0, 20, 2).recording
     time, field, rate = recording.time, recording.magnetic_field, recording.angular_rate
