@@ -34,7 +34,7 @@ def calibrate_log(
         reading: the log and how to read it.
         method: name of the method.
         options: arguments of `magyc_gtsam.calibrate`.
-        pairs: texts of --option, for messages.
+        pairs: texts of --option and names from --config, for messages; None without any.
         folder: folder for the files; it must exist.
         arguments: the command line, for configuration.yaml.
         force: also write the parameters of a result that must not be trusted, as comments.
@@ -65,7 +65,7 @@ def calibrate_log(
 def _calibrate(
     recording: Recording, method: str, progress: Progress, options: dict[str, Any], pairs: list[str] | None
 ) -> Calibration:
-    """Calibrate; an option that the method does not accept raises a MagycError."""
+    """Calibrate; an argument that the method does not accept raises a MagycError."""
     from magyc_gtsam import MagycError, calibrate
 
     try:
@@ -73,5 +73,5 @@ def _calibrate(
     except TypeError as error:
         if pairs is None:
             raise
-        raise MagycError(f"--option {' '.join(pairs)}: the method cannot use it ({error})") from None
+        raise MagycError(f"{', '.join(pairs)}: {method} cannot use it ({error})") from None
     return calibration

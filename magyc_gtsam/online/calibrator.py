@@ -75,8 +75,8 @@ class OnlineCalibrator:
         Sensors with separate stamps are passed in separate calls (`update(t, field)`, `update(t, angular_rate=rate)`),
         or with rows of NaN where a sensor has no sample. A sensor may start late or pause, but while only one sensor
         has samples, only the last minute of them is kept. The stamps of each sensor must ascend; a sample whose stamp
-        repeats or is late is left out and counted (`progress.left_out`). Single samples are taken
-        sixteen at a time, or when a result is read, so that an error may be raised up to sixteen samples late.
+        repeats or is late is left out and counted (`progress.left_out`). Single samples are taken sixteen at a time, or
+        when a result is read, so that an error may be raised up to sixteen samples late.
 
         Args:
             time: s, scalar or (N,).

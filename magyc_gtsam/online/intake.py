@@ -13,9 +13,9 @@ from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.stamps import check_seconds
 
-_LATE = 1.0  # s by which a stamp may be late; several later ones in a row mean that a clock was set back
+_LATE = 1.0  # s behind the last stamp; more, six times in a row, means that a clock was set back
 _LEAP = 3.0  # ratio to the previous step, and at least `_LATE`, by which a stamp may be ahead without confirmation
-_CONFIRMED_BY = 5  # number of further stamps that confirm a stamp which leaps ahead, or back
+_CONFIRMED_BY = 5  # number of further stamps that confirm one which leaps ahead or back
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
 _NAMES = ("magnetic_field", "angular_rate")

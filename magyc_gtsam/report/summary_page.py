@@ -105,9 +105,10 @@ def judged_history(history: History) -> Verdict:
             called="The logs do not belong together",
         )
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
-    undated = [factor.name for factor in history.factors if factor.mean is not None and factor.time is None]
+    calibrated = [factor for factor in history.factors if factor.mean is not None]
+    undated = [factor.name for factor in calibrated if factor.time is None]
     span = "from one log to the next" if undated else "per square root of a day"
-    if 0 < len(undated) < len(history) - len(history.contradictions):
+    if 0 < len(undated) < len(calibrated):
         span += (
             f", since {undated[0]} has no date" if len(undated) == 1 else f", since {len(undated)} have no date"
         )
