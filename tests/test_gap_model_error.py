@@ -92,9 +92,14 @@ def test_the_model_error_of_a_named_misalignment_is_in_its_sigma_and_in_the_head
     """A current that follows pitch is mostly taken for askew chips: heading 2.5 degrees off at a sigma of 0.7."""
     fault = FAULTS["current-with-pitch"]
     log = record("wide", 8803, fault, fault.weak, "current-with-pitch")
-    calibration = mg.find_gap(log.recording("current")).calibration
+    gap = mg.find_gap(log.recording("current"))
+    calibration = gap.calibration
     named = next(term for term in calibration.terms if term.name == "misalignment")
     assert np.degrees(named.sigma).max() > 0.5  # 0.08 by the sensors alone
+    effect = next(each for each in gap.effects if each.name == "misalignment")
+    np.testing.assert_allclose(effect.sigma, 1e3 * named.sigma)
+    assert effect.sentence in gap.sentence
+    assert f"± {effect.sigma.max():.0f}" in effect.sentence
     stored = Askew.of(calibration.diagnostics)
     assert stored is not None
     np.testing.assert_allclose(stored.covariance, named.covariance, rtol=1e-9)
@@ -110,6 +115,8 @@ def test_what_is_clean_or_named_stays_trusted_and_as_sharp(effects: list) -> Non
     assert gap.calibration.noise_covariance is not None
     noise = np.sqrt(np.diag(gap.calibration.noise_covariance)[6:9])
     assert (gap.calibration.sigma["hard_iron"] < 1.3 * noise).all()
+    late = [term.sigma[0] for term in gap.calibration.terms if term.name == "timing"]
+    assert late == pytest.approx([gap.calibration.delay_sigma] if ("timing", 2.0) in effects else [], rel=1e-12)
 
 
 def test_a_closed_gap_whose_calibration_is_uncertain_is_not_used() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
@@ -84,6 +85,24 @@ def describe(
 
     effects = (_described(one, refitted, indices.get(place), why(place)) for place, one in enumerate(found))
     return tuple(replace(effect, probability=probabilities.get(effect.name, 0.0)) for effect in effects)
+
+
+def with_model_error(effects: Sequence[Effect], fitted: Refit, calibration: Calibration) -> tuple[Effect, ...]:
+    """Return the effects, of which those that are corrected have the sigmas of the calibration's terms.
+
+    Args:
+        effects: those that are terms in the order of the model's.
+        fitted: the model with those that are corrected.
+        calibration: of `fitted`, with the model error in the covariance of its terms.
+    """
+    result, count = list(effects), len(fitted.model.terms)
+    places = [place for place, one in enumerate(effects) if one.applied and one.name in TERMS]
+    for place, of_model in zip(places, calibration.terms[count - len(places) : count], strict=True):
+        one, term = effects[place], TERMS[effects[place].name]
+        sigma, rows = of_model.sigma * term.scale, term.rows(fitted.twin, one.setting)
+        sentence = term.sentence(one.value, sigma, one.setting, rows)
+        result[place] = replace(one, sigma=sigma, sentence=sentence)
+    return tuple(result)
 
 
 def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Effect:

@@ -64,7 +64,7 @@ def judged(
     whole = replace(
         calibration,
         covariance=judgement.reported,
-        terms=_widened_terms(calibration.terms, result, error),
+        terms=_widened_terms(calibration.terms, result, error, judgement.delay_variance),
         noise_covariance=judgement.of_sensors,
         delay_sigma=float(np.sqrt(judgement.delay_variance)) if late else None,
         converged=calibration.converged and not reasons,
@@ -90,14 +90,18 @@ def _askew(result: Refit, error: ModelError, strength: float) -> Askew | None:
     return Askew(result.covariance[np.ix_(rows, rows)] + error.of_terms[PARAMETERS + own][:, own], cross)
 
 
-def _widened_terms(terms: Sequence[Term], result: Refit, error: ModelError) -> tuple[Term, ...]:
+def _widened_terms(
+    terms: Sequence[Term], result: Refit, error: ModelError, delay_variance: float
+) -> tuple[Term, ...]:
     """Return the terms, of which those of the model come first, with the model error in their covariance."""
     count, widened = int(result.model.free.sum()), list(terms)
     for index, term in enumerate(result.model.terms):
-        if term.name != "timing":
+        if term.name == "timing":  # the delay of θ
+            covariance = np.array([[delay_variance]])
+        else:
             own = result.rows_of(index) - count
-            more = error.of_terms[PARAMETERS + own][:, own]
-            widened[index] = replace(terms[index], covariance=terms[index].covariance + more)
+            covariance = terms[index].covariance + error.of_terms[PARAMETERS + own][:, own]
+        widened[index] = replace(terms[index], covariance=covariance)
     return tuple(widened)
 
 

@@ -17,7 +17,7 @@ from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, wide
 from magyc_gtsam.gap.naming.found import Found, as_found, term_places
 from magyc_gtsam.gap.naming.named import Named
 from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
-from magyc_gtsam.gap.outcome.described import describe
+from magyc_gtsam.gap.outcome.described import describe, with_model_error
 from magyc_gtsam.gap.outcome.doubt import doubted, left_open, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
@@ -123,6 +123,9 @@ def gap_of(
     wanted = manoeuvre(first, found, word, open_places)
     given, fitted = (final, corrected) if applied else (started, base)
     used, untrusted = judged(given, fitted, result.recording, strength)
+    if applied:
+        effects = with_model_error(effects, fitted, used)
+        sentence = verdict(effects, result.leftover, first, catalogue)[1]
     gap = Gap(
         verdict=word,
         sentence=contradiction(contradicted) + sentence,
