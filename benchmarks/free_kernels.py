@@ -55,7 +55,7 @@ GROUPS = {
         f"{_FIT}.preparation:short_term_noise",
         f"{_FIT}.clock_drift:find_drift",
     ),
-    "columns of 21 families": (
+    "columns of the families": (
         *(f"{_FIT}.beside:ColumnProducts.{name}" for name in ("_dense", "_products")),
         f"{_ERROR}.families:ColumnFamily.columns_of",
     ),

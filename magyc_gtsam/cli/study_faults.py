@@ -87,7 +87,7 @@ def faults(
         ["fault", "strength", "motion", "by", *OUTCOMES, "hard iron µT", "heading °"],
         [
             [
-                cell.fault + ("" if FAULTS[cell.fault].shows else " (no data show it)"),
+                cell.fault + ("" if FAULTS[cell.fault].shows else " (resembles askew chips)"),
                 f"{getattr(FAULTS[cell.fault], cell.strength):g} {FAULTS[cell.fault].unit}",
                 cell.motion,
                 cell.method,
@@ -104,8 +104,8 @@ def faults(
     hidden = covered(rows)
     if hidden is not None:
         show(
-            f"{hidden.count} calibrations under faults that no data show, trusted or not: hard iron within one stated "
-            f"sigma on its worst axis in {hidden.hard_iron:.0%}, heading at its worst in {hidden.heading:.0%}"
+            f"{hidden.count} results under faults that resemble askew chips, trusted or not: hard iron within one "
+            f"stated sigma on its worst axis in {hidden.hard_iron:.0%}, heading at its worst in {hidden.heading:.0%}"
         )
     show(f"{folder / 'faults.parquet'}")
     bad = [c for c in table if FAULTS[c.fault].shows and 30 * c.counts[OUTCOMES[0]] > sum(c.counts.values())]

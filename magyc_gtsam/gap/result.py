@@ -38,7 +38,8 @@ class Effect:
     Attributes:
         name: the row of the catalogue, e.g. "timing".
         label: the name in words, e.g. "magnetometer delay".
-        value, sigma: (k,) estimate and standard deviation in `unit`, one per parameter.
+        value, sigma: (k,) estimate and standard deviation in `unit`, one per parameter; of an effect that is corrected
+            the deviation includes the model error.
         parameters: (k,) name of each parameter, e.g. ("x", "y", "z").
         unit: unit of the values: "ms", "µT", "µT/A", "mrad", ….
         setting: parameters found by a grid search: {"time": 41.5} s, {"frequency": 2.1} Hz, …; empty for most effects.
