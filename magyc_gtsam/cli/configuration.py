@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-CONFIGURED = "configured"  # where the context keeps the arguments of the method that no option can give
+CONFIGURED = "configured"  # key of `Context.meta`: arguments of the method that are no defaults of options
 _WITH_OPTION = ("robust", "window", "noise", "delay", "field_strength")
 
 

@@ -14,7 +14,7 @@ from magyc_gtsam.recording import Array
 _MEMORY = 5.0  # s over which rate and lateness are measured
 # s over which the quickest sample gives the offset between the two clocks; 50 ppm of drift are 3 ms in this time.
 _CLOCK_MEMORY = 60.0
-_LEAP = 60.0  # s; a longer step of the stamps is a pause or a wrong stamp, and loses no samples and delays none
+_LEAP = 60.0  # s; a longer step of the stamps is a pause or a wrong stamp: no samples are lost or late by it
 _STEPS = 200  # last steps of the stamps, whose median is the period
 _FEWEST_STEPS = 20  # needed to know the period
 _MISSING = 1.6  # periods; a longer step has missing samples
