@@ -129,6 +129,19 @@ def test_the_command_takes_many_logs(late: list[mg.Recording], tmp_path: Path) -
     assert kept.delay == pytest.approx(0.02, abs=0.02)
 
 
+def test_what_is_in_no_catalogue_is_told_in_words() -> None:
+    logs = []
+    for seed in (1, 2):
+        recording = mg.simulate("wide", 120, seed=seed).recording
+        field = recording.magnetic_field
+        logs.append(replace(recording, magnetic_field=field + 1.5e-6 * (field / 50e-6) ** 3))
+    gap = mg.find_gap(logs, candidates=["timing"])
+    assert gap.verdict == "unknown"
+    assert gap.sentence.endswith(
+        "varies with the direction of the field (attitude) is missing, and it is not in the catalogue"
+    )
+
+
 def test_what_cannot_be_compared_is_said(late: list[mg.Recording]) -> None:
     assert mg.find_gap(late[:1]).verdict == "not enough information"
     twice = mg.find_gap([late[0], replace(late[0], name="copy")])

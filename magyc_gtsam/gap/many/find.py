@@ -10,7 +10,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
@@ -20,6 +20,8 @@ from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh
 from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.judged import judged
+from magyc_gtsam.gap.outcome.verdict import missing
+from magyc_gtsam.gap.scores.generic import families
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 
@@ -168,7 +170,7 @@ def _alternatives(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
 
 def _without_logs(state: _State, few: np.ndarray, strongest: WeighedOverLogs) -> _State:
     own = tuple(
-        Own(log.name, f"holds something that no name explains ({strongest.name}); it was left out")
+        Own(log.name, f"{_missing(strongest.name, [log])}; the log was left out")
         for log, out in zip(state.logs, few, strict=True)
         if out
     )
@@ -178,6 +180,13 @@ def _without_logs(state: _State, few: np.ndarray, strongest: WeighedOverLogs) ->
         for each in state.added
     )
     return replace(state, logs=kept, own=(*state.own, *own), added=added)
+
+
+def _missing(name: str, logs: Sequence[OneLog]) -> str:
+    """Return in words that an effect or a generic family is missing."""
+    every = (family for log in logs for family in families(log.refitted.twin))
+    place = next((family.place for family in every if family.name == name), "")
+    return missing(name, place) + (", and it is not in the catalogue" if place else "")
 
 
 def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _State:
@@ -228,9 +237,8 @@ def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
     if len(state.logs) < MODEL.least:
         verdict, said = "not enough information", f"{len(state.logs)} of the logs can be used, and two are needed"
     elif state.unknown:
-        words = LABELS.get(state.unknown, state.unknown)
-        verdict = "unknown"
-        said = f"{named + '; and ' if named else ''}something is missing that is not in the catalogue ({words})"
+        verdict, where = "unknown", _missing(state.unknown, state.logs)
+        said = f"{named}; beside that, {where}" if named else where
     elif effects:
         verdict, said = "closed", named
     else:

@@ -62,13 +62,18 @@ def place_of(left: Sequence[str], first: Look) -> str:
     names = set(left)
     for score in first.scores:
         if score.name in names and score.generic:
-            return f"an effect that varies with {score.place} is missing"
-    label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
-    return (
-        f"an effect similar to “{label}” is missing"
-        if label
-        else "an effect that follows no logged variable is missing"
-    )
+            return missing(score.name, score.place)
+    return missing(next((name for name in left if name in LABELS or product_of(name)), ""), "")
+
+
+def missing(name: str, place: str) -> str:
+    """Return that something is missing: a generic family by its variable `place`, else what resembles an effect."""
+    if place:
+        return f"an effect that varies with {place} is missing"
+    label = LABELS.get(name) or (label_of(name) if product_of(name) else "")
+    if label:
+        return f"an effect similar to “{label}” is missing"
+    return "an effect that follows no logged variable is missing"
 
 
 def _place(left: Sequence[str], first: Look, catalogue: str) -> str:
