@@ -12,7 +12,15 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
 from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, singles_of, smoothed, without
-from magyc_gtsam.gap.evidence.posterior import Set, SetWeight, key_of, normalised, summed, weights
+from magyc_gtsam.gap.evidence.posterior import (
+    Set,
+    SetWeight,
+    key_of,
+    normalised,
+    sensor_variation,
+    summed,
+    weights,
+)
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of
@@ -119,7 +127,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
             for names, (log, colour) in beside_colour(tree).items():
                 key = tuple(sorted((*names, COLOUR)))
                 beside[key, False] = log + colour.alike + (len(names) + 1) * PRIOR.named
-    models = summed(each)
+    models = summed(each, sensor_variation(tree))
     for one, log in beside.items():
         models[one] = max(models.get(one, -np.inf), log)
     for name, odds in said.items():  # beside every set
@@ -127,7 +135,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
         if name in ("spikes", "tone") and odds > 0:  # or a part of the unknown effect
             for (key, unknown), log in models.items():
                 if unknown:
-                    models[key, unknown] = float(np.logaddexp(log, log + odds + PRIOR.resembled))
+                    models[key, unknown] = float(np.logaddexp(log, log + odds))
         models |= there
     models[(), False] += PRIOR.nothing
     return normalised(models)

@@ -31,12 +31,21 @@ class Beside:
         square: rᵀ M r.
         log_determinant: of I + V N Nᵀ / ρ², after marginalisation of the parameters.
         noise: ρ.
+        before: number of columns that are marginalised before those of effects.
     """
 
     def __init__(
-        self, residual: Array, flat: Array, soft: Array, variance: Array, score_bias: Array, noise: float = 1.0
+        self,
+        residual: Array,
+        flat: Array,
+        soft: Array,
+        variance: Array,
+        score_bias: Array,
+        noise: float = 1.0,
+        effects: int = 0,
     ):
-        """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,)."""
+        """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,); the
+        last `effects` of them belong to effects."""
         size = np.sqrt(np.einsum("pn,pn->p", flat, flat))
         size = np.where(size > 0, size, 1.0)
         self._rows = np.concatenate([flat / size[:, None], soft * np.sqrt(variance)[:, None]]) / noise
@@ -47,7 +56,7 @@ class Beside:
         prior = np.concatenate([np.full(len(flat), _RIDGE / noise**2), np.ones(len(soft))])
         normal = self._rows @ self._rows.T + np.diag(prior)
         self._lower = cholesky(normal, lower=True, check_finite=False)
-        self.noise = noise
+        self.noise, self.before = noise, len(self._rows) - effects
         self._size, self._deviation = size, np.sqrt(variance)
         own = self._rows @ residual / noise
         self._solved = solve_triangular(self._lower, own - score_bias, lower=True)
@@ -74,3 +83,9 @@ class Beside:
         reach = solve_triangular(self._lower, self._rows @ columns.T / self.noise, lower=True).T
         own = columns @ (self._residual / self.noise) - score_bias / self.noise**2
         return Seen(reach, own - reach @ self._solved)
+
+    def signal(self) -> Array:
+        """Return what the effects explain together (3n,), in units of the noise."""
+        value = solve_triangular(self._lower, self._solved, lower=True, trans=1)
+        result: Array = value[self.before :] @ self._rows[self.before :]
+        return result

@@ -39,17 +39,16 @@ class Terms:
     residual: Array
 
     def beside(self, variation: FieldVariation | None, scale: Array | None = None) -> Beside:
-        """Marginalise the parameters and the field's variation; also the terms, if their scales are given."""
-        soft = [self.columns[:0]] if scale is None else [self.columns]
-        variance = [np.zeros(0)] if scale is None else [scale[self.of_term] ** 2]
-        score_bias = np.concatenate([np.zeros(len(self.base)), self.score_bias[: len(soft[0])]])
-        noise = 1.0
-        if variation is not None:
-            noise = variation.noise
-            soft.append(variation.components)
-            variance.append(np.full(len(variation.components), noise**2))
-            score_bias = np.concatenate([score_bias, np.zeros(len(variation.components))])
-        return Beside(self.residual, self.base, np.concatenate(soft), np.concatenate(variance), score_bias, noise)
+        """Marginalise the parameters and the field's variation; last the terms, if their scales are given."""
+        noise = 1.0 if variation is None else variation.noise
+        components = self.columns[:0] if variation is None else variation.components
+        columns = self.columns[:0] if scale is None else self.columns
+        own = np.zeros(0) if scale is None else scale[self.of_term] ** 2
+        variance = np.concatenate([np.full(len(components), noise**2), own])
+        score_bias = np.zeros(len(self.base) + len(components))
+        score_bias = np.concatenate([score_bias, self.score_bias[: len(columns)]])
+        soft = np.concatenate([components, columns])
+        return Beside(self.residual, self.base, soft, variance, score_bias, noise, len(columns))
 
     @classmethod
     def of(cls, fit: Refit) -> Terms:

@@ -15,6 +15,7 @@ from magyc_gtsam.gap.evidence.laplace import Terms
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
 from magyc_gtsam.gap.evidence.weighing import Weighed
+from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import product_of
@@ -43,12 +44,12 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
     tried = tree.nodes.keys() | tree.refused
     for node in tree.nodes.values():
         key, powers = key_of(tree, node), _powers(tree, node)
-        form, (foreign, seen) = _families(tree, node)
+        form, (foreign, seen) = _families(tree, node, powers)
         log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
         yield SetWeight(key, log, None, powers)
         if np.isfinite(foreign):
             yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
-        for log, seen in _products(node):
+        for log, seen in _products(node, powers):
             yield SetWeight(key, node.log + log, seen, powers)
         for less, log, seen in _imitated(tree, node, powers):
             yield SetWeight(less, node.log + log, seen, powers)
@@ -60,7 +61,7 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
                 large = each.power > PRIOR.form * node.of_field
                 if large.any():
                     log = node.log + PRIOR.named + logsumexp(each.by_scale[large])
-                    with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each])}
+                    with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each], [0.0])}
                     yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
 
 
@@ -74,9 +75,9 @@ def _powers(tree: Tree, node: Node) -> dict[str, float]:
     return result
 
 
-def _mean_power(families: Sequence[Weighed], least: float = 0.0) -> float:
-    """Return the power above `least` that families explain, in the mean over families and scales."""
-    large = [each.power > least for each in families]
+def _mean_power(families: Sequence[Weighed], least: Sequence[float]) -> float:
+    """Return the power that families explain above the least of each, in the mean over families and scales."""
+    large = [each.power > limit for each, limit in zip(families, least, strict=True)]
     logs = np.concatenate([[-np.inf], *(each.by_scale[seen] for each, seen in zip(families, large, strict=True))])
     if not np.isfinite(logs).any():
         return 0.0
@@ -84,33 +85,43 @@ def _mean_power(families: Sequence[Weighed], least: float = 0.0) -> float:
     return float(np.exp(logs - logsumexp(logs)) @ power)
 
 
-def _families(tree: Tree, node: Node) -> tuple[float, tuple[float, float]]:
+def _deviation(node: Node, powers: Mapping[str, float], family: Weighed) -> float:
+    """Return the power that a family may explain as a deviation of the set from its form.
+
+    A product may be a deviation of its own effect, any other family of the part of the set's signal that it could
+    explain, and each of the varying field, which has no form.
+    """
+    return PRIOR.form * (node.of_field + powers.get(product_of(family.name) or "", family.contained))
+
+
+def _families(tree: Tree, node: Node, powers: Mapping[str, float]) -> tuple[float, tuple[float, float]]:
     """Return the nats of families no larger than the set's deviation from its form, and of larger ones with power."""
     families = _generic(node)
-    form, foreign = [], []
+    form, foreign, alone = [], [], []
     for each in families:
-        small = each.power < PRIOR.form * node.explained
+        small = each.power < _deviation(node, powers, each)
         if small.any():
             form.append(logsumexp(each.by_scale[small]))
-        if (~small).any() and product_of(each.name) is None:
-            foreign.append(logsumexp(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
+        if product_of(each.name) is None:
+            alone.append(each)
+            if not small.all():
+                foreign.append(logsumexp(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
     share = np.log(max(len(families), 1))
-    alone = [each for each in families if product_of(each.name) is None]
-    seen = _mean_power(alone, PRIOR.form * node.explained) if foreign else 0.0
+    seen = _mean_power(alone, [_deviation(node, powers, each) for each in alone])
     return (
         float(logsumexp(form) - share) if form else -np.inf,
         (float(logsumexp(foreign) - share) if foreign else -np.inf, seen),
     )
 
 
-def _products(node: Node) -> Iterator[tuple[float, float]]:
+def _products(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[float, float]]:
     """Yield nats and power of products of an effect with another signal in its place; all are equally probable."""
-    least = PRIOR.form * node.explained
     for name in {product_of(each) for each in node.found} - {None, *node.names}:
         found = [each for each in node.found.values() if product_of(each.name) == name]
-        large = np.concatenate([*(each.by_scale[each.power > least] for each in found), [-np.inf]])
-        log = PRIOR.named + PRIOR.imitated + float(logsumexp(large)) - float(np.log(len(found)))
-        yield log, _mean_power(found, least)
+        least = [_deviation(node, powers, each) for each in found]
+        large = [each.by_scale[each.power > limit] for each, limit in zip(found, least, strict=True)]
+        log = float(logsumexp(np.concatenate([*large, [-np.inf]]))) - float(np.log(len(found)))
+        yield PRIOR.named + PRIOR.imitated + log, _mean_power(found, least)
 
 
 def _generic(node: Node) -> list[Weighed]:
@@ -141,7 +152,7 @@ def _imitated(
         seen = float(logsumexp(large)) - share + (imitated if of_field else PRIOR.unknown)
         unseen = -np.inf if of_field else hidden + imitated
         others = tuple(sorted(set(powers) - {name}))
-        yield others, float(np.logaddexp(seen, unseen)), power + _mean_power(rest, least)
+        yield others, float(np.logaddexp(seen, unseen)), power + _mean_power(rest, [least] * len(rest))
 
 
 def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
@@ -231,27 +242,45 @@ def names_of(tree: Tree, node: Node) -> frozenset[str]:
     return frozenset(key_of(tree, node)).intersection(TERMS)
 
 
-def summed(each: Iterable[SetWeight]) -> dict[Set, float]:
+def sensor_variation(tree: Tree) -> float:
+    """Return the nats of a variation in the sensor's axes, in place of the field's in the world's; 0 without one.
+
+    A cause that moves with the sensor, like a magnet that rolls, has the first; a room has the second.
+    """
+    varying = [node for node in tree.nodes.values() if node.variation is not None]
+    best = max(varying, key=lambda node: node.log, default=None)
+    if best is None or best.variation is None:
+        return 0.0
+    return field_variation(best.fit.twin, in_world=False).gain - best.variation.gain
+
+
+def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
     """Return {set: log weight}, with the sets in which one cause outside the catalogue resembles some effects together.
 
     Such a cause becomes more probable with the number of effects that it replaces: each of them has its own prior, the
-    cause only one. The field variation and effects on single samples are not replaced. Usually a part of such a cause
-    is also detected as an unknown effect, and what the largest effect does not explain of it has a power comparable to
-    that effect's. A cause of which one effect explains all but the deviation from its form is that effect.
+    cause only one. Usually a part of it is also detected as an unknown effect, larger than a deviation from the form of
+    all names, and what the largest effect does not explain of it has a power comparable to that effect's. If that is
+    less than the least share that the rest of one imitated effect may have, it is that effect. A detected cause may
+    replace the field variation, too, by one that moves with the sensor (`sensor_variation`), unless the difference is
+    certain: both are approximate. None replaces effects on single samples.
     """
     logs: dict[Set, list[float]] = {}
     for one in each:
         logs.setdefault((one.names, one.seen is not None), []).append(one.log)
-        of_catalogue, seen = [name for name in one.names if name in TERMS], one.seen or 0.0
-        for count in range(1, len(of_catalogue) + 1):
-            for alike in combinations(of_catalogue, count):
+        replaced, seen = [name for name in one.names if name in TERMS or name == FIELD_VARIATION], one.seen or 0.0
+        least = PRIOR.form * sum(one.powers.values())
+        for count in range(1, len(replaced) + 1):
+            for alike in combinations(replaced, count):
                 powers = [one.powers.get(name, 0.0) for name in alike]
                 largest, power = max(powers), sum(powers)
                 rest = power - largest + seen
-                if rest <= PRIOR.form * power:
+                if rest <= PRIOR.shares.min() * power:
                     continue
-                hidden = 0.0 if seen > 0 and rest > PRIOR.rest * largest else PRIOR.all_named
-                odds = PRIOR.resembled + (count - 1) * PRIOR.each_more + hidden
+                evident = seen > least and rest > PRIOR.rest * largest
+                if FIELD_VARIATION in alike and not evident:
+                    continue
+                odds = (count - 1) * PRIOR.each_more + (0.0 if evident else PRIOR.all_named)
+                odds += min(sensor + PRIOR.certain, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)
     return {key: float(logsumexp(values)) for key, values in logs.items()}

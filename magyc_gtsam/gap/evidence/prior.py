@@ -37,19 +37,20 @@ class Prior:
             0.055; by Laplace's rule 0.023).
         imitated: odds that an apparent effect of the catalogue is a part of an effect outside it of which nothing else
             is seen (log score on edition 41: 0.926, 0.927 at 0.15 and 0.929 at 0.2).
-        resembled: log odds that an apparent effect is a part of an effect outside the catalogue that is seen beside it.
-            In 6 of 14 foreign recordings of edition 207 with a certain unknown effect one effect of the catalogue is
-            significant beside it; of independent causes each of the 22 would be there with odds of 0.034.
-        each_more: log odds that each further effect adds to that, for all of them having one cause outside the
-            catalogue.
+        each_more: log odds that one cause outside the catalogue, of which something is seen, resembles one more effect.
+            It resembles a first one with even odds: in 6 of 14 foreign recordings of edition 207 with a certain unknown
+            effect one effect of the catalogue is significant beside it.
         all_named: log odds that nothing of such a cause is detected as unknown beside the effects that it resembles. A
             magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. It was chosen
-            on editions 63 and 64, with `resembled` and `each_more` of 0.1 and 5 (0.5 and 3 now).
+            with `each_more` on the foreign recordings of edition 311 and the real ones of edition 312.
         rest: power of the other effects and of what is unknown, relative to that of the largest effect, from which all
-            may be of one cause. In six foreign recordings of edition 207 that resemble one effect it is 0.7 to 4.
-        shares: power of the rest of such a cause relative to the imitated effect, all equally probable.
-        form: share of the power of an effect by which it may deviate from its form. No real effect has its catalogue
-            form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
+            may be of one cause. In six foreign recordings of edition 207 that resemble one effect it is 0.7 to 4. With
+            0.25 a varying field is named beside one more magnet of edition 311; with 0.06 a step beside a small lag
+            that is not quite a delay is uncertain.
+        shares: power of the rest of such a cause relative to the imitated effect, all equally probable. Of several
+            effects that it resembles together, the smallest share is the least.
+        form: share of the power of an effect's signal by which it may deviate from its form. No real effect has its
+            catalogue form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
         profile_field, profile_rate: smallest value of a generic profile that matters, T and rad/s.
         modes: of a drift, beside a straight line: the slow part of a random walk. With 24 a jump of 6 µT that was added
             to a walk with a phone was called a drift.
@@ -60,7 +61,8 @@ class Prior:
         missing_from: probability above which something without a name is said to be present: the calibration is then
             not trusted.
         improbable: probability below which an effect is neither a rival nor possible.
-        certain: nats for effects that are detected with certainty or not at all.
+        certain: nats for effects that are detected with certainty or not at all, and by which one description of a
+            variation must exceed another.
         whole: probability that a family is present as a whole, not in one of its parts.
         not_quite: log odds that an effect visibly deviates from its form, by less than `form`.
         beyond: upper limit of an effect's values, in prior standard deviations.
@@ -77,10 +79,9 @@ class Prior:
     unknown: float = float(np.log(0.5))
     unforeseen: float = 0.015
     imitated: float = float(np.log(0.1))
-    resembled: float = float(np.log(0.5))
-    each_more: float = float(np.log(3))
-    all_named: float = float(np.log(0.005))
-    rest: float = 0.25
+    each_more: float = float(np.log(2.5))
+    all_named: float = float(np.log(0.002))
+    rest: float = 0.125
     shares: Array = field(default_factory=_shares)
     form: float = 0.04
     profile_field: float = 0.3e-6

@@ -16,9 +16,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.beside import Beside, Seen
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
+
+_LEAST = 1e-9  # of the squared columns: what is left of them beside a model is rounding if it is smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,7 @@ class Weighed:
         power: (S,) squared length of the explained part, at each scale.
         setting: the most probable one.
         search: nats by which the average over settings is below the most probable one.
+        contained: power of the part of the set's signal that it could explain without the set.
         tied: nats of a family whose power is a share of that of the named effects, averaged over shares: of a cause
             of which the named effects are a part.
         cell: log prior of the most probable setting.
@@ -43,6 +46,7 @@ class Weighed:
     power: Array
     setting: Setting
     search: float
+    contained: float
     tied: float
     cell: float
 
@@ -71,6 +75,7 @@ class _Part(NamedTuple):
 
     Attributes:
         log, power: (S,) nats and powers.
+        contained: see `Weighed`.
         tied: nats averaged over shares.
         setting: the setting.
         prior: its log prior.
@@ -78,6 +83,7 @@ class _Part(NamedTuple):
 
     log: Array
     power: Array
+    contained: float
     tied: float
     setting: Setting
     prior: float
@@ -88,15 +94,44 @@ def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[st
     if not candidates.batches:
         return {}
     seen = beside.see(candidates.columns, candidates.score_bias)
+    shared = _Shared.of(candidates, beside, seen)
     parts: dict[str, list[_Part]] = {}
     for batch in candidates.batches:
         log, powers, tied = _by_scale(batch, beside.noise, seen.reach, seen.score, power)
+        contained = shared.contained(batch, beside.noise)
         for i, name in enumerate(batch.names):
             prior = float(batch.prior[i])
             parts.setdefault(name, []).append(
-                _Part(log[i] + prior, powers[i], tied[i] + prior, batch.settings[i], prior)
+                _Part(log[i] + prior, powers[i], contained[i], tied[i] + prior, batch.settings[i], prior)
             )
     return {name: _averaged(name, many) for name, many in parts.items()}
+
+
+class _Shared(NamedTuple):
+    """What candidates have in common with the signal of a model's effects, beside the rest of the model.
+
+    Attributes:
+        reach: (N, m) of the candidates' columns into the rest of the model.
+        across: (N,) their products with the signal.
+    """
+
+    reach: Array
+    across: Array
+
+    @classmethod
+    def of(cls, candidates: Candidates, beside: Beside, seen: Seen) -> _Shared:
+        signal, reach = beside.signal(), seen.reach[:, : beside.before]
+        own = beside.see(signal[None] * beside.noise, np.zeros(1)).reach[0, : beside.before]
+        return cls(reach, candidates.columns @ signal / beside.noise - reach @ own)
+
+    def contained(self, batch: Batch, noise: float) -> Array:
+        """Return the power (B,) of the part of the signal that each candidate could explain."""
+        own, across = self.reach[batch.rows], self.across[batch.rows]
+        gram = batch.gram / noise**2
+        rounding = _LEAST * np.trace(gram, axis1=1, axis2=2) + np.finfo(float).tiny
+        information = gram - own @ own.swapaxes(1, 2) + rounding[:, None, None] * np.eye(own.shape[1])
+        result: Array = (across * np.linalg.solve(information, across[..., None])[..., 0]).sum(axis=1)
+        return result
 
 
 def _by_scale(
@@ -142,7 +177,17 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
     total = float(np.logaddexp.reduce(by_scale)) - scales
     search = float(of_setting[best]) - many[best].prior - scales - total
     tied = float(np.logaddexp.reduce([each.tied for each in many]))
-    return Weighed(name, total, by_scale - scales, power, many[best].setting, search, tied, many[best].prior)
+    return Weighed(
+        name,
+        total,
+        by_scale - scales,
+        power,
+        many[best].setting,
+        search,
+        many[best].contained,
+        tied,
+        many[best].prior,
+    )
 
 
 def best_of(weighed: Mapping[str, Weighed], count: int) -> list[Weighed]:
