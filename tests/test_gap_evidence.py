@@ -132,7 +132,7 @@ def test_a_varying_field_is_part_of_an_unknown_cause_if_it_moves_with_the_sensor
     stated = marginals(normalised(summed([SetWeight((FIELD_VARIATION, "cubic"), 0.0, 100.0, powers)], sensor)))
     share = 1 - PRIOR.unforeseen
     uncertain = share * 2 / (3 + np.exp(PRIOR.each_more))
-    assert stated[FIELD_VARIATION] == pytest.approx(share if sensor < -PRIOR.certain else uncertain, rel=1e-6)
+    assert stated[FIELD_VARIATION] == pytest.approx(share if sensor < -PRIOR.world_ahead else uncertain, rel=1e-6)
 
 
 def test_what_one_name_explains_but_for_its_form_is_that_effect() -> None:

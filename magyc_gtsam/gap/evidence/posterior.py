@@ -261,8 +261,8 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
     cause only one. Usually a part of it is also detected as an unknown effect, larger than a deviation from the form of
     all names, and what the largest effect does not explain of it has a power comparable to that effect's. If that is
     less than the least share that the rest of one imitated effect may have, it is that effect. A detected cause may
-    replace the field variation, too, by one that moves with the sensor (`sensor_variation`), unless the difference is
-    certain: both are approximate. None replaces effects on single samples.
+    replace the field variation, too, by one that moves with the sensor (`sensor_variation`), at the
+    odds by which that one explains less, beyond `world_ahead`. None replaces effects on single samples.
     """
     logs: dict[Set, list[float]] = {}
     for one in each:
@@ -280,7 +280,7 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
                 if FIELD_VARIATION in alike and not evident:
                     continue
                 odds = (count - 1) * PRIOR.each_more + (0.0 if evident else PRIOR.all_named)
-                odds += min(sensor + PRIOR.certain, 0.0) if FIELD_VARIATION in alike else 0.0
+                odds += min(sensor + PRIOR.world_ahead, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)
     return {key: float(logsumexp(values)) for key, values in logs.items()}
