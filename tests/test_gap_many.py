@@ -96,6 +96,8 @@ def test_many_logs_are_one_comparison(late: list[mg.Recording], tmp_path: Path) 
     assert [log.log for log in effect.logs] == ["dive 0", "dive 1", "dive 2"]
     assert [own.log for own in gap.own] == ["mute"]
     assert "in the instrument, the same in all logs" in gap.sentence
+    stated = [1e3 * gap.calibrations[log.log].delay_sigma for log in effect.logs]  # with the model error
+    assert [log.sigma[0] for log in effect.logs] == pytest.approx(stated)
     assert all(c.delay == pytest.approx(0.02, abs=0.02) for c in gap.calibrations.values())
     assert json.loads(json.dumps(gap.to_dict()))["effects"][0]["logs"][1]["log"] == "dive 1"
 

@@ -104,6 +104,24 @@ def test_the_model_error_of_a_named_misalignment_is_in_its_sigma_and_in_the_head
     assert stored is not None
     np.testing.assert_allclose(stored.covariance, named.covariance, rtol=1e-9)
     assert score(calibration).heading_sigmas < 3
+    for row in gap.moved:
+        part, axes = row.name.rsplit(" ", 1)
+        if part == "hard iron":
+            assert row.sigma == pytest.approx(1e6 * calibration.sigma["hard_iron"]["xyz".index(axes)])
+
+
+def test_the_sigma_of_a_misalignment_that_calibrate_takes_out_has_the_model_error() -> None:
+    """By the sensors alone it was 0.09 degrees where the axes were taken to be 1.5 degrees askew by a current."""
+    fault = FAULTS["current-with-pitch"]
+    log = record("wide", 8803, fault, fault.weak, "current-with-pitch")
+    calibration = mg.calibrate(log.recording("current"))
+    (term,) = calibration.terms
+    stored = Askew.of(calibration.diagnostics)
+    assert stored is not None
+    np.testing.assert_allclose(term.covariance, stored.covariance)
+    assert np.degrees(term.sigma).max() > 0.5
+    assert "askew" in calibration.message
+    assert "± 0.09°" not in calibration.message
 
 
 @pytest.mark.parametrize("effects", [[], [("timing", 2.0)], [("gyro-scale", 2.0)]])

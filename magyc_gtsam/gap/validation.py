@@ -22,6 +22,7 @@ from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.outcome.agreement import Metrics
 from magyc_gtsam.gap.outcome.corrected import as_calibration
+from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
 from magyc_gtsam.gap.outcome.moved import against
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
@@ -80,7 +81,8 @@ def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, 
         known = calibration.delay_sigma or 0.0
         terms = (*terms, Term("timing", np.array([calibration.delay]), np.array([[known**2]]), {}))
     given = replace(calibration, terms=terms)
-    fitted = as_calibration(widened(base_model(recording, given, short_term_noise(recording))), None)
+    model = widened(base_model(recording, given, short_term_noise(recording)))
+    fitted = judged(as_calibration(model, None), model, recording, None)[0]
     field, rate = calibration.field_strength, recording.gyroscope.value
     turn = float(np.sqrt((np.square(rate).sum(axis=1)).mean()))
     matters = {"soft iron": 100 * RULES.field_differs, "hard iron": RULES.field_differs * field * 1e6}

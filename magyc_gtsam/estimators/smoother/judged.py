@@ -45,6 +45,7 @@ class Judgement(NamedTuple):
         reasons: reasons not to trust it, beyond observability.
         remark: on the composition of its sigmas.
         diagnostics: JSON types.
+        askew: uncertainty of the misalignment, with the model error; None if it is not estimated.
     """
 
     soft_iron: Array
@@ -56,6 +57,7 @@ class Judgement(NamedTuple):
     reasons: tuple[str, ...]
     remark: str
     diagnostics: dict[str, Any]
+    askew: Askew | None = None
 
 
 def judge(
@@ -104,6 +106,7 @@ def judge(
         tuple(filter(None, reasons)),
         remark(unexplained, of_sensors, reported),
         {"model_error": diagnostics(unexplained)} | _skew_diagnostics(skew, askew),
+        askew,
     )
 
 

@@ -230,9 +230,9 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
 
 
 def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
-    effects = (*told(state.added, state.logs), *noise)
-    weights = tuple(Weight(each.name, each.shared, each.apart) for each in state.weighed)
     calibrations = {log.name: _calibration(log) for log in state.logs}
+    effects = (*told(state.added, state.logs, calibrations), *noise)
+    weights = tuple(Weight(each.name, each.shared, each.apart) for each in state.weighed)
     named = "; ".join(effect.sentence for effect in effects)
     if len(state.logs) < MODEL.least:
         verdict, said = "not enough information", f"{len(state.logs)} of the logs can be used, and two are needed"

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import InLog, SharedEffect
-from magyc_gtsam.gap.model.refit import widened
 
 _FIRST = 4  # logs that a sentence names
 
@@ -28,19 +28,27 @@ class Added:
     rivals: tuple[str, ...]
 
 
-def told(added: Sequence[Added], logs: Sequence[OneLog]) -> tuple[SharedEffect, ...]:
-    """Return the effects of a search at its end, without those whose logs were all left out later."""
-    return tuple(_effect(each, logs) for each in added if any(s is not None for s in each.settings))
+def told(
+    added: Sequence[Added], logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]
+) -> tuple[SharedEffect, ...]:
+    """Return the effects of a search at its end, without those whose logs were all left out later.
+
+    Args:
+        added: the effects.
+        logs: the logs with their models.
+        calibrations: {log: calibration of its model}, whose terms state the values, with the model error.
+    """
+    return tuple(_effect(each, logs, calibrations) for each in added if any(s is not None for s in each.settings))
 
 
-def _effect(each: Added, logs: Sequence[OneLog]) -> SharedEffect:
+def _effect(each: Added, logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]) -> SharedEffect:
     term = TERMS[each.name]
     here = [
         (log, setting, p)
         for log, setting, p in zip(logs, each.settings, each.present, strict=True)
         if setting is not None
     ]
-    found = [(log, setting, float(p), *_value(log, each.name)) for log, setting, p in here]
+    found = [(log, setting, float(p), *_value(calibrations[log.name], each.name)) for log, setting, p in here]
     inside = tuple(
         InLog(log.name, p, value * term.scale, np.sqrt(np.diag(covariance)) * term.scale, setting)
         for log, setting, p, value, covariance in found
@@ -72,10 +80,9 @@ def _effect(each: Added, logs: Sequence[OneLog]) -> SharedEffect:
     )
 
 
-def _value(log: OneLog, name: str) -> tuple[Array, Array]:
-    fitted = widened(log.refitted)
-    index = next(i for i, term in enumerate(fitted.model.terms) if term.name == name)
-    return fitted.value_of(index)
+def _value(calibration: Calibration, name: str) -> tuple[Array, Array]:
+    term = next(term for term in calibration.terms if term.name == name)
+    return term.value, term.covariance
 
 
 def _combined(values: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:

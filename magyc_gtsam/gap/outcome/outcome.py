@@ -116,15 +116,15 @@ def gap_of(
     tested = hypotheses(first, names, found, word, discrete, result.probabilities)
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
-    contradicted = () if calibration is None else against(calibration, started)
-    shifted = moved(started, final) if applied else ()
+    plainly, doubts = judged(started, base, result.recording, strength)
+    used, untrusted = judged(final, corrected, result.recording, strength) if applied else (plainly, doubts)
+    contradicted = () if calibration is None else against(calibration, plainly)
+    shifted = moved(plainly, used) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
     wanted = manoeuvre(first, found, word, open_places)
-    given, fitted = (final, corrected) if applied else (started, base)
-    used, untrusted = judged(given, fitted, result.recording, strength)
     if applied:
-        effects = with_model_error(effects, fitted, used)
+        effects = with_model_error(effects, corrected, used)
         sentence = verdict(effects, result.leftover, first, catalogue)[1]
     gap = Gap(
         verdict=word,
@@ -137,7 +137,7 @@ def gap_of(
         moved=contradicted
         + tuple(row for row in shifted if row.name not in {known.name for known in contradicted}),
         calibration=used,
-        base=started if applied else used,
+        base=plainly,
         next_manoeuvre=wanted,
         diagnostics={
             "windows": first.refit.twin.n,
