@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam import Calibration, MagycError, Recording, calibrate, simulate
+from magyc_gtsam import Calibration, MagycError, Recording, calibrate, calibrate_many, simulate
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.simulation.sensor import HARD_IRON, SOFT_IRON
@@ -190,3 +190,20 @@ def test_with_an_earlier_calibration_of_known_scale_the_place_is_what_is_left(st
         assert not told.trusted
         assert ("this motion is enough with " in told.message) == scaled
         assert remedy in told.message
+
+
+def test_the_same_recording_is_not_counted_twice(tmp_path):
+    first, second = (simulate("wide", 60, seed=seed).recording for seed in (5, 6))
+    earlier = calibrate(first)
+    earlier.save(tmp_path / "earlier.yaml")
+    renamed = replace(first, name="copy")
+    with pytest.raises(
+        MagycError, match="fitted to this recording, whose samples would count twice; leave the prior"
+    ):
+        calibrate(renamed, prior=Calibration.load(tmp_path / "earlier.yaml"))
+    both = calibrate(second, prior=earlier)
+    assert both.fitted_to == (earlier.fitted_to[0], calibrate(second).fitted_to[0])
+    with pytest.raises(MagycError, match="would count twice"):
+        calibrate(first, prior=both)
+    with pytest.raises(MagycError, match="would count twice"):
+        calibrate(first, prior=calibrate_many([first, second]).next)

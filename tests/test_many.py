@@ -151,7 +151,12 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "third.mcap" in capsys.readouterr().out
     assert len(mg.History.load(added / "history.yaml")) == 4
     assert main(["history", str(season / "a.mcap"), "--add", str(folder / "history.yaml")]) == 2
-    assert "is in the history already" in capsys.readouterr().err
+    assert "a.mcap: its samples are in the history already as " in capsys.readouterr().err
+    again = [*command[:3], str(added / "history.yaml"), "-o", str(tmp_path / "again")]
+    assert main(again) == 2
+    assert "third.mcap: its samples are in the history already; leave it out" in capsys.readouterr().err
+    assert main([*again, "--end", "200"]) in (0, 1)  # another log of the same name
+    assert "third.mcap (2)" in capsys.readouterr().out
     assert main(["history", str(tmp_path / "third.mcap"), "--add", str(DIVE)]) == 2
     assert "not a text file; a history.yaml is expected here" in capsys.readouterr().err
     assert main([*command[:-1], str(tmp_path / "other"), "--gyroscope-scale", "1"]) == 2

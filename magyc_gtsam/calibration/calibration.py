@@ -193,6 +193,11 @@ class Calibration:
         written: Path = _notebook().report(self, path, recording)
         return written
 
+    @property
+    def fitted_to(self) -> tuple[str, ...]:
+        """The fingerprints of the recordings that it is from, its prior's too; empty if they are not known."""
+        return tuple(self.diagnostics.get("recordings", ()))
+
     def __repr__(self) -> str:
         state = "trusted" if self.trusted else "not to be trusted"
         iron = ", ".join(f"{value * 1e6:.2f}" for value in self.hard_iron)

@@ -23,7 +23,7 @@ from magyc_gtsam.foreign_text import with_minus
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
-    from magyc_gtsam.history import History
+    from magyc_gtsam.history import History, LogFactor
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,6 @@ def run(
 
     logs = find_logs([reading.log, *(more or [])])
     before = None if add is None else History.load(add)
-    _refuse_twice(logs, before)
     strength = scale.tesla()
     options = {} if before is None else dict(before.options)
     if strength is not None:
@@ -84,6 +83,10 @@ def run(
             else replace(LogFactor.from_dict(row), name=name)
             for name, row in rows.items()
         ]
+        if before is not None:
+            _refuse_twice(factors, before)
+            names = _named_apart([factor.name for factor in factors], before)
+            factors = [replace(factor, name=name) for factor, name in zip(factors, names, strict=True)]
         history = History(factors, options=options) if before is None else before.extend(factors)
         verdict, following = judged_history(history), history.next
         if not verdict.trusted:
@@ -107,17 +110,29 @@ def run(
     return concluded(verdict, shown=not (quiet or json))
 
 
-def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
+def _refuse_twice(factors: Sequence[LogFactor], before: History) -> None:
     """Raise a MagycError for a log that is in the history already and would count twice."""
     from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.history.counted_once import same_samples
 
-    known = [] if before is None else [Path(name).parts for name in before.names]
-    for log in logs:
-        parts = log.resolve().parts
-        if any(parts[-len(name) :] == name for name in known):
-            raise MagycError(
-                f"{log.name}: is in the history already; leave it out, or rename it if it is another log"
-            )
+    for factor in factors:
+        known = same_samples(factor, before.factors)
+        if known is not None:
+            called = "" if known.name == factor.name else f" as {known.name}"
+            raise MagycError(f"{factor.name}: its samples are in the history already{called}; leave it out")
+
+
+def _named_apart(names: Sequence[str], before: History) -> list[str]:
+    """Return the names of new logs, numbered where the history has another log of that name."""
+    taken, result = set(before.names), []
+    for name in names:
+        number, apart = 1, name
+        while apart in taken:
+            number += 1
+            apart = f"{name} ({number})"
+        taken.add(apart)
+        result.append(apart)
+    return result
 
 
 def _compress_one(task: _Task) -> Row:

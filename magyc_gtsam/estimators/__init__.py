@@ -17,6 +17,7 @@ from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.kept_memory import keep_freed_memory
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
+from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _METHODS = {
@@ -184,6 +185,13 @@ def calibrate(
     if unknown:
         there = ", ".join(sorted(allowed.keys() - {"progress"}))
         raise MagycError(f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {there}")
+    own, earlier = fingerprint(recording), given.get("prior")
+    before = earlier.fitted_to if isinstance(earlier, Calibration) else ()
+    if own in before:
+        raise MagycError(
+            "prior: it was fitted to this recording, whose samples would count twice; leave the prior out, or give one "
+            "from other recordings"
+        )
     usable = without_faults(recording, ("magnetic_field", *entry.needs))
     try:
         result: Calibration = function(usable.recording, progress=progress, **given)
@@ -191,6 +199,7 @@ def calibrate(
         if usable.clipped is None:
             raise
         raise MagycError(f"{usable.clipped.sentence}; {problem}") from None
+    result = replace(result, diagnostics={**result.diagnostics, "recordings": [*before, own]})
     left_out = usable.left_out
     if left_out:
         message = f"{result.message}; left out: {'; '.join(left_out)}"

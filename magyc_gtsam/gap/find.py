@@ -37,6 +37,7 @@ from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
+from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
@@ -105,7 +106,9 @@ def find_gap(
         ours = _side(recording, names, "", lambda done: None) if calibration is not None else _side_of(gap, result)
         gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
-    return gap
+    of_these = {"recordings": [fingerprint(recording)]}
+    fitted = replace(gap.calibration, diagnostics={**gap.calibration.diagnostics, **of_these})
+    return replace(gap, calibration=fitted)
 
 
 def _side(recording: Recording, names: tuple[str, ...], what: str, report: Callable[[float], None]) -> Side:

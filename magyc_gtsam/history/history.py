@@ -15,6 +15,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
+from magyc_gtsam.history.counted_once import counted_once
 from magyc_gtsam.history.forward import JUMPED, Bank
 from magyc_gtsam.history.grouping import Grouping
 from magyc_gtsam.history.instrument import Instrument, solve_instrument
@@ -55,7 +56,7 @@ class History:
         """Solve compressed logs, continuing the groups and filters of an earlier history, if given."""
         self.options = dict(options or {})
         self.model = model or _model_for(self.options)
-        self.factors = _of_one_kind(_counted_once(factors, ()))
+        self.factors = _of_one_kind(counted_once(factors, ()))
         self._grouping = Grouping(self.factors, self.model, groups)
         self._banks = tuple(banks)
         if not self.groups:
@@ -186,7 +187,7 @@ class History:
     def extend(self, factors: Sequence[LogFactor]) -> History:
         """Add logs that are already compressed, and return this history."""
         self._banks = self._filters
-        added = _counted_once(factors, self.factors)
+        added = counted_once(factors, self.factors)
         self.factors = _of_one_kind((*self.factors, *added))
         self._grouping.add(added)
         for name in ("_instruments", "calibrations", "next", "contradictions"):
@@ -253,24 +254,6 @@ def _model_for(options: Mapping[str, Any]) -> HistoryModel:
     """Return the default model, with the prior of the gyroscope's scale that logs are calibrated with."""
     deviation = options.get("gyroscope_scale")
     return HistoryModel(gyroscope_scale=deviation / PER_MILLE) if deviation else HistoryModel()
-
-
-def _counted_once(factors: Sequence[LogFactor], before: Sequence[LogFactor]) -> list[LogFactor]:
-    """Return the factors without the information of those that repeat an earlier one to the last bit.
-
-    The same samples give the same numbers, under whatever name; counted twice they would make the sigmas too small.
-    """
-    known = {factor.mean.tobytes(): factor.name for factor in before if factor.mean is not None}
-    result = []
-    for factor in factors:
-        values = None if factor.mean is None else factor.mean.tobytes()
-        if values in known:
-            problem = f"the same samples as {known[values]}, which count once"
-            factor = replace(factor, mean=None, covariance=None, problem=problem)
-        elif values is not None:
-            known[values] = factor.name
-        result.append(factor)
-    return result
 
 
 def _of_one_kind(factors: Sequence[LogFactor]) -> tuple[LogFactor, ...]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.fingerprint import fingerprint
 
 HARD_IRON, GYRO_BIAS = slice(-6, -3), slice(-3, None)
 SHARED, OBSERVED = slice(None, -6), slice(None, -3)  # indices of s, or of s and g; and of these with h
@@ -56,6 +57,7 @@ class LogFactor:
         log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
         field_strength: field strength, T, estimated or given.
         problem: why the log has no information; "" if it has.
+        samples: fingerprint of its recording; "" in a history of an earlier version.
     """
 
     name: str
@@ -69,6 +71,7 @@ class LogFactor:
     log_scale: float | None = None
     field_strength: float | None = None
     problem: str = ""
+    samples: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the factor as JSON types."""
@@ -116,7 +119,7 @@ def factor_of(recording: Recording, time: float | None, options: dict[str, Any])
         calibration = calibrate(recording, **options)
     except MagycError as problem:
         return LogFactor(recording.name, when, None, None, problem=str(problem))
-    return compress(calibration, recording.name, when)
+    return replace(compress(calibration, recording.name, when), samples=fingerprint(recording))
 
 
 def compress(calibration: Calibration, name: str, time: float | None) -> LogFactor:

@@ -94,6 +94,7 @@ def _calibration(
         "logs": len(instrument.order),
         "walk": instrument.walk,
         "scatter": instrument.scatter,
+        "recordings": [factors[i].samples for i in instrument.order if factors[i].samples],
     }
     return calibration_of(
         mean,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from magyc_gtsam.gap.outcome.verdict import missing
 from magyc_gtsam.gap.scores.generic import families
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
+from magyc_gtsam.recording.fingerprint import fingerprint
 
 Progress = Callable[[float], None]
 
@@ -73,7 +73,7 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         raise MagycError("mg.find_gap: no recordings; give those of one instrument")
     logs: list[OneLog] = []
     own: list[Own] = []
-    known: dict[bytes, str] = {}  # a copy of a log would count twice
+    known: dict[str, str] = {}  # a copy of a log would count twice
     for k in range(len(recordings)):
         called = f"log {k + 1}"
         try:
@@ -85,7 +85,7 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         called = recording.name or called
         if called in (log.name for log in logs):
             called = f"{called} ({k + 1})"
-        first = known.setdefault(sha256(recording.magnetic_field.tobytes()).digest(), called)
+        first = known.setdefault(fingerprint(recording), called)
         if first != called:
             own.append(Own(called, f"the same samples as {first}, which count once"))
             continue
