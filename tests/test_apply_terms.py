@@ -16,9 +16,7 @@ from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.io import write_mcap
 
 
-@pytest.mark.parametrize(
-    "effect", ["hard-iron-step", "motor-current", "timing", "temperature-gyro", "misalignment"]
-)
+@pytest.mark.parametrize("effect", ["hard-iron-step", "motor-current", "temperature-gyro", "misalignment"])
 def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
     """On the command line as in Python, from a file to a file."""
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
@@ -42,6 +40,34 @@ def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
         )
         > 1
     )
+
+
+@pytest.mark.parametrize("way", [["out.mcap"], ["out.mcap", "--stamps", "log"], ["out.csv"]])
+def test_a_delay_is_taken_from_the_stamps(way: list[str], tmp_path: Path) -> None:
+    """Interpolated to the gyroscope's stamps the noise was correlated, in which gap found an unknown effect."""
+    log, out = tmp_path / "log.mcap", tmp_path / way[0]
+    write_mcap(log, mg.simulate("wide", 100, seed=8, effects=[("timing", 4.0)]).recording, epoch=10**18)
+    recording = mg.read(log)
+    gap = mg.find_gap(recording, candidates=["timing"])
+    gap.calibration.save(tmp_path / "cal.yaml")
+    command = ["apply", str(tmp_path / "cal.yaml"), str(log), "--output", str(out), "--quiet", *way[1:]]
+    done = CliRunner().invoke(application(), command)
+    assert done.exit_code == 0, done.output
+    applied = mg.read(out, stamps=way[2] if way[1:] else "header")
+    late = gap.calibration.delay
+    assert late > 0.1
+    still = replace(gap.calibration, terms=()).apply(recording)
+    time, field = applied.magnetometer
+    first = 0.1 if out.suffix == ".csv" else 0.0  # s, a table begins where both sensors have samples
+    since = time - applied.gyroscope.time[0] + late + first
+    row = np.round(10 * since).astype(int)
+    np.testing.assert_allclose(since, row / 10, atol=1e-6)
+    np.testing.assert_allclose(field, still[row], atol=1e-12)
+    assert len(row) >= len(still) - 3
+    if way != ["out.mcap"]:
+        return
+    again = mg.find_gap(applied)
+    assert (again.verdict, gap.verdict) == ("none", "closed")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,11 +35,12 @@ def run(
     Time stamps and all other data are unchanged. From MCAP to MCAP every message of every other topic is copied byte
     for byte, and in the sensors' own messages only the vector is replaced (ROS 2, without --gyroscope-axes). The
     gyroscope bias is subtracted if the method estimated one, and the effects found by `magyc-gtsam gap` are
-    corrected, a delay of the magnetometer too. Use the same reading options (units, axes) as for the calibration; an
-    effect of a current or a temperature needs that channel in the log. An untrusted calibration is refused with exit
-    code 1.
+    corrected; a delay of the magnetometer in the stamps of its samples, which are then earlier. Use the same reading
+    options (units, axes) as for the calibration; an effect of a current or a temperature needs that channel in the log.
+    An untrusted calibration is refused with exit code 1.
     """
     from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.calibration.calibrated import calibrated, lag_of, without_lag
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.report.verdict import judged
 
@@ -53,28 +53,26 @@ def run(
         return refused(calibration)
     with replacing(output) as part, stages(shown=not quiet) as stage:
         recording = reading.recording(stage("reading"))
-        rate = recording.angular_rate
-        if rate is not None and calibration.gyro_bias is not None:
-            rate = calibration.apply_gyroscope(recording)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            field = calibration.apply(recording)
-        calibrated = replace(recording, magnetic_field=field, angular_rate=rate)
+            result = calibrated(calibration, recording)
+        lag = lag_of(calibration)
         writing = stage("writing")
         copied = ""
         if output.suffix.lower() == ".mcap":
-            copied = _write_mcap(part, reading, calibrated, writing)
+            copied = _write_mcap(part, reading, result, lag, writing)
         else:
-            _write_csv(part, calibrated, epoch(recording))
+            _write_csv(part, without_lag(result, lag), epoch(recording))
         writing(1.0)
     if not quiet:
-        show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field{copied}")
+        show(f"{output}: {len(result.magnetometer.time)} samples of the calibrated field{copied}")
         show(*(f"warning: {each.message}" for each in caught))
     return concluded(judged(calibration))
 
 
-def _write_mcap(path: Path, reading: Reading, calibrated: Recording, progress: Progress) -> str:
+def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float, progress: Progress) -> str:
     """Write the log with the vectors of its sensors replaced if it is MCAP, else the recording; return a remark."""
+    from magyc_gtsam.calibration.calibrated import without_lag
     from magyc_gtsam.io import write_mcap
     from magyc_gtsam.io.mcap_copy import copy_mcap
 
@@ -88,13 +86,14 @@ def _write_mcap(path: Path, reading: Reading, calibrated: Recording, progress: P
             calibrated,
             epoch(calibrated),
             dict(zip(("magnetic_field", "angular_rate"), named, strict=True)),
+            lag,
             reading.stamps == "log",
             progress,
         )
         if count is not None:
             left_out = f", {count.left_out} without a sample left out" if count.left_out else ""
             return f"; {count.unchanged} messages of other topics copied unchanged{left_out}"
-    write_mcap(path, calibrated, epoch=epoch(calibrated))
+    write_mcap(path, without_lag(calibrated, lag), epoch=epoch(calibrated))
     return "; other topics are not in it" if is_mcap else ""
 
 

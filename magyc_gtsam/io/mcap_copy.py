@@ -30,6 +30,7 @@ _PLACES = {
 }
 _CDR = b"\x00\x01"  # little-endian, the byte order of the common ROS 2 platforms
 _VECTOR = struct.Struct("<3d")
+_STAMP = struct.Struct("<iI")  # of a header
 
 
 @dataclass
@@ -55,6 +56,7 @@ class _Copy:
     replaced: Mapping[str, Mapping[int, bytes]]  # by sensor, the vector at each stamp
     named: Mapping[str, str | None]
     by_log_time: bool
+    lag: int  # ns, by which the stamps of the magnetometer are too late
     schemas: dict[int, int] = field(default_factory=dict)
     kinds: dict[int, str] = field(default_factory=dict)
     channels: dict[int, int] = field(default_factory=dict)
@@ -106,12 +108,16 @@ class _Copy:
             name, place = sensor
             stamp, numbers = _stamp_and_numbers(data)
             vector = self.replaced[name].get(message.log_time if self.by_log_time else stamp)
-            if vector is None:
+            late = self.lag if name == "magnetic_field" else 0
+            if vector is None or stamp < late:
                 self.count.left_out += 1
                 return
             first = numbers + place
             data = data[:first] + vector + data[first + _VECTOR.size :]
             self.count.calibrated += 1
+            if late:
+                data = data[:4] + _STAMP.pack(*divmod(stamp - late, NANOSECONDS)) + data[4 + _STAMP.size :]
+                message = replace(message, log_time=message.log_time - late * self.by_log_time)
         self.writer.add_message(
             self.channels[message.channel_id], message.log_time, data, message.publish_time, message.sequence
         )
@@ -123,6 +129,7 @@ def copy_mcap(
     calibrated: Recording,
     epoch: int,
     named: Mapping[str, str | None],
+    lag: float = 0.0,
     by_log_time: bool = False,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Copied | None:
@@ -133,6 +140,7 @@ def copy_mcap(
         calibrated: the recording of `source` with the calibrated field, and an angular rate if that is to be replaced.
         epoch: stamp of the log's clock at the recording's time 0, ns.
         named: the topics of "magnetic_field" and "angular_rate"; None for the only one of its type.
+        lag: s by which the magnetometer's stamps are too late; those written are earlier by it.
         by_log_time: whether the recording's stamps are those of the recorder.
         progress: called with the share done, 0 to 1.
 
@@ -148,7 +156,7 @@ def copy_mcap(
         replaced["angular_rate"] = _vectors(*calibrated.gyroscope, epoch)
     size = max(source.stat().st_size, 1)
     with open(source, "rb") as read, open(target, "wb") as written:
-        copy = _Copy(Writer(written), replaced, named, by_log_time)
+        copy = _Copy(Writer(written), replaced, named, by_log_time, round(lag * NANOSECONDS))
         try:
             for k, record in enumerate(_records(read)):
                 if isinstance(record, Header):

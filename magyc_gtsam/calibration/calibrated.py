@@ -1,0 +1,43 @@
+"""A whole recording as a calibration corrects it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from magyc_gtsam.calibration.calibration import Calibration
+from magyc_gtsam.recording import Recording
+
+
+def lag_of(calibration: Calibration) -> float:
+    """Return by how much the magnetometer lags the gyroscope in s by the terms of a calibration."""
+    return sum(float(term.value[0]) for term in calibration.terms if term.name == "timing")
+
+
+def calibrated(calibration: Calibration, recording: Recording) -> Recording:
+    """Return a recording with calibrated field and, if the calibration has a bias, angular rate.
+
+    Each value stays at its stamp, that of a magnetometer that lags too; `without_lag` takes the lag from the stamps.
+    `Calibration.apply` instead interpolates to the rows that it is given, which smooths the field and correlates its
+    noise.
+
+    Raises:
+        MagycError: a term needs a signal that the recording lacks.
+
+    Warns:
+        UserWarning: as `Calibration.apply`.
+    """
+    rate = recording.angular_rate
+    if rate is not None and calibration.gyro_bias is not None:
+        rate = calibration.apply_gyroscope(recording)
+    still = replace(calibration, terms=tuple(term for term in calibration.terms if term.name != "timing"))
+    return replace(recording, magnetic_field=still.apply(recording), angular_rate=rate)
+
+
+def without_lag(recording: Recording, lag: float) -> Recording:
+    """Return a recording whose magnetometer has stamps earlier by `lag` in s."""
+    if lag == 0:
+        return recording
+    time, field = recording.magnetometer
+    return recording.with_samples(
+        (time - lag, field), None if recording.angular_rate is None else recording.gyroscope
+    )
