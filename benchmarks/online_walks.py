@@ -17,7 +17,7 @@ def walks(arguments):
     runs, walk, hours = arguments.runs, arguments.size * 1e-6, arguments.hours
     print("hard iron, from its convergence on, every five minutes: rms error µT, stated µT, rms of error / stated")
     for motion in arguments.motion or MOTIONS:
-        for option in ({"hard_iron_walk": walk}, {}):
+        for option in ({"hard_iron_drift": walk}, {}):
             squares, stated, score, false = [], [], [], 0
             for seed in range(arguments.seed, arguments.seed + runs):
                 simulation = mg.simulate(motion, duration=3600 * hours, seed=seed)

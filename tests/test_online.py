@@ -73,7 +73,7 @@ def test_how_the_samples_are_cut_does_not_matter():
         np.testing.assert_array_equal(other.calibration.covariance, single.calibration.covariance)
 
 
-@pytest.mark.parametrize("options", [{}, {"horizon": 120.0, "hard_iron_walk": 1e-7}])
+@pytest.mark.parametrize("options", [{}, {"horizon": 120.0, "hard_iron_drift": 1e-7}])
 def test_a_resumed_run_continues_bit_for_bit(tmp_path, options):
     recording = simulate("wide", duration=240, seed=2).recording
     stepped = np.where(recording.time[:, None] > 150, [3e-6, 0, 1e-6], 0.0)
@@ -276,7 +276,7 @@ def test_refused_units(arguments, words):
     [
         ({"method": "smother"}, "'smother' is not one of smoother, magyc-ifg"),
         ({"windows": 2}, "no option 'windows'; it has"),
-        ({"hard_iron_walk": -1.0}, "hard_iron_walk"),
+        ({"hard_iron_drift": -1.0}, "hard_iron_drift"),
         ({"horizon": 1.0}, "horizon"),
         ({"noise": 3}, "noise"),
         ({"angular_rate_is": "mean"}, "angular_rate_is"),

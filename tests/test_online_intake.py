@@ -119,3 +119,25 @@ def test_what_is_no_number_is_refused() -> None:
     ):
         with pytest.raises(mg.MagycError, match=says):
             mg.OnlineCalibrator().update(*sample)  # type: ignore[arg-type]
+
+
+def test_an_error_of_single_samples_costs_no_other_sample() -> None:
+    """Nine samples wait when a clock is set back; they and the block given next were lost."""
+    recording = mg.simulate("wide", 20, 10, seed=1).recording
+    time, field, rate = recording.time, recording.magnetic_field, recording.angular_rate
+    online = mg.OnlineCalibrator()
+    online.update(time[:100], field[:100], rate[:100])
+    for k in range(100, 109):
+        online.update(time[k], field[k], rate[k])
+    for k in range(6):
+        online.update(float(time[k]), field[k], rate[k])  # the sixth shows that it is not a few late samples
+    with pytest.raises(mg.MagycError, match="time goes back"):
+        online.update(time[109:], field[109:], rate[109:])
+    assert online.taken_until == (time[-1], time[-1])
+    assert online.progress.duration == time[-1]
+    again = mg.OnlineCalibrator()
+    for k in range(15):
+        again.update(1e3 * float(time[k]), field[k], rate[k])
+    with pytest.raises(mg.MagycError, match="likely unit: ms"):
+        again.update(1e3 * float(time[15]), field[15], rate[15])
+    assert again.taken_until == (-np.inf, -np.inf)

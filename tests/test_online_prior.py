@@ -25,15 +25,17 @@ def earlier() -> mg.Calibration:
     return mg.calibrate(mg.simulate("wide", 600, seed=11).recording)
 
 
-@pytest.mark.parametrize("options", [{}, {"prior_walk": 0.3e-6}, {"horizon": 200.0}, {"hard_iron_walk": 0.1e-6}])
+@pytest.mark.parametrize(
+    "options", [{}, {"hard_iron_walk": 0.3e-6}, {"horizon": 200.0}, {"hard_iron_drift": 0.1e-6}]
+)
 def test_it_ends_as_in_the_batch(earlier: mg.Calibration, options: dict[str, float]) -> None:
     simulation = mg.simulate("tiny", 240, seed=12)
     online = fed(simulation.recording, prior=earlier, **options).calibration
-    walk = options.get("prior_walk", 0.0)
+    walk = options.get("hard_iron_walk", 0.0)
     batch = mg.calibrate(simulation.recording, prior=earlier, hard_iron_walk=walk)
     alone = mg.calibrate(simulation.recording)
     off = (online.hard_iron - batch.hard_iron) / batch.sigma["hard_iron"]
-    exact = set(options) <= {"prior_walk"}
+    exact = set(options) <= {"hard_iron_walk"}
     assert np.abs(off).max() < (0.05 if exact else 1.0)
     np.testing.assert_allclose(online.sigma["hard_iron"], batch.sigma["hard_iron"], rtol=0.05 if exact else 0.6)
     assert online.sigma["hard_iron"][2] < 0.7 * alone.sigma["hard_iron"][2]
@@ -65,9 +67,9 @@ def test_after_a_step_it_holds_no_more(earlier: mg.Calibration) -> None:
 
 
 def test_what_is_no_prior_is_refused() -> None:
-    with pytest.raises(mg.MagycError, match="prior_walk: must be a finite number of at least 0, got -1"):
-        mg.OnlineCalibrator(prior_walk=-1)
+    with pytest.raises(mg.MagycError, match="hard_iron_walk: must be a finite number of at least 0, got -1"):
+        mg.OnlineCalibrator(hard_iron_walk=-1)
     with pytest.raises(mg.MagycError, match="prior: an earlier Calibration is needed, got float"):
         mg.OnlineCalibrator(prior=1.0)
-    with pytest.raises(mg.MagycError, match="prior_walk: .* give that calibration too .prior=."):
-        mg.OnlineCalibrator(prior_walk=1e-6)
+    with pytest.raises(mg.MagycError, match="hard_iron_walk: .* give that calibration too .prior=."):
+        mg.OnlineCalibrator(hard_iron_walk=1e-6)

@@ -123,11 +123,11 @@ def test_the_command_takes_them(tmp_path: Path) -> None:
     earlier.save(tmp_path / "earlier.yaml")
     log = Path(__file__).parent.parent / "datasets" / "calibration_dive.mcap"
     said = f"online {log} -o {tmp_path}/now.yaml --state {tmp_path}/state.npz --idle 0 --quiet --misalignment 0.5"
-    said += f" --prior {tmp_path}/earlier.yaml --prior-walk 40 --location 47.5 19 --date 2026-03-01"
+    said += f" --prior {tmp_path}/earlier.yaml --hard-iron-walk 40 --location 47.5 19 --date 2026-03-01"
     assert cli.main(said.split()) in (0, 1)
     options = mg.OnlineCalibrator.load(tmp_path / "state.npz").options
     assert options["misalignment"] == pytest.approx(np.radians(0.5))
-    assert options["prior_walk"] == pytest.approx(40e-6)
+    assert options["hard_iron_walk"] == pytest.approx(40e-6)
     assert options["prior"]["hard_iron"] == earlier.hard_iron.tolist()
     assert 40e-6 < options["field"][0] < 60e-6
     assert mg.Calibration.load(tmp_path / "now.yaml").configuration["misalignment"] == options["misalignment"]

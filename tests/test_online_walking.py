@@ -33,7 +33,7 @@ def test_a_walking_hard_iron_is_known_as_well_as_is_said():
     scores = []
     for seed in range(2):
         recording, hard_iron, _ = walking("wide", seed, hard_iron=4e-6, duration=200.0)
-        online = feed(OnlineCalibrator(hard_iron_walk=4e-6), recording, step=50.0)
+        online = feed(OnlineCalibrator(hard_iron_drift=4e-6), recording, step=50.0)
         assert online.converged
         assert online.changes == ()
         error = online.calibration.hard_iron - hard_iron
@@ -45,7 +45,7 @@ def test_a_walking_hard_iron_is_known_as_well_as_is_said():
 
 def test_a_walking_bias_is_followed():
     recording, _, bias = walking("wide", 3, bias=20e-3, duration=300.0)
-    online = feed(OnlineCalibrator(gyro_bias_walk=20e-3), recording, step=50.0)
+    online = feed(OnlineCalibrator(gyro_bias_drift=20e-3), recording, step=50.0)
     error = np.abs(online.calibration.gyro_bias - bias)
     assert (error < 4 * online.calibration.sigma["gyro_bias"]).all()
     fixed = feed(OnlineCalibrator(), recording, step=50.0).calibration.gyro_bias
@@ -54,7 +54,7 @@ def test_a_walking_bias_is_followed():
 
 def test_a_strong_walk_does_not_keep_it_from_converging():
     recording, hard_iron, _ = walking("moderate", 4, hard_iron=5e-6, duration=240.0)
-    online = feed(OnlineCalibrator(hard_iron_walk=5e-6), recording, step=50.0)
+    online = feed(OnlineCalibrator(hard_iron_drift=5e-6), recording, step=50.0)
     assert online.calibration.converged
     assert (np.abs(online.calibration.hard_iron - hard_iron) < 4 * online.calibration.sigma["hard_iron"]).all()
 

@@ -20,10 +20,7 @@ class GivenFacts:
     misalignment: given.Misalignment = None
     gyroscope_scale: given.GyroscopeScale = None
     prior: given.Prior = None
-    hard_iron_walk: Annotated[
-        float | None,
-        typer.Option(metavar="µT", help="Possible change (1σ) of the hard iron since --prior. Default: 0."),
-    ] = None
+    hard_iron_walk: given.HardIronWalk = None
     soft_iron_walk: Annotated[
         float | None,
         typer.Option(metavar="PERCENT", help="Possible change (1σ) of the soft iron since --prior. Default: 0."),

@@ -67,10 +67,7 @@ def run(
     gyroscope_axes: given.GyroscopeAxes = None,
     misalignment: given.Misalignment = None,
     prior: given.Prior = None,
-    prior_walk: Annotated[
-        float | None,
-        typer.Option(metavar="µT", help="Possible change (1σ) of the hard iron since --prior. Default: 0."),
-    ] = None,
+    hard_iron_walk: given.HardIronWalk = None,
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
@@ -114,7 +111,7 @@ def run(
     options: dict[str, Any] = {"field_strength": scale.tesla()} if place is None else {"field": list(place)}
     options |= {
         "angular_rate_is": angular_rate_is,
-        "prior_walk": None if prior_walk is None else prior_walk * 1e-6,
+        "hard_iron_walk": None if hard_iron_walk is None else hard_iron_walk * 1e-6,
     }
     options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
     options |= beforehand(misalignment, prior)

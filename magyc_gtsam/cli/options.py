@@ -104,6 +104,10 @@ GyroscopeScale = Annotated[
         help="Estimate the scale of each of the gyroscope's axes with this prior standard deviation. Default: no.",
     ),
 ]
+HardIronWalk = Annotated[
+    float | None,
+    typer.Option(metavar="µT", help="Possible change (1σ) of the hard iron since --prior. Default: 0."),
+]
 Prior = Annotated[
     Path | None,
     typer.Option(

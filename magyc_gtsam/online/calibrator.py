@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.online import state_file
 from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
 from magyc_gtsam.online.intake import Intake, scalar, vector
-from magyc_gtsam.recording import Array
+from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 
 _ENGINES = {  # method → "module:class"; the class takes the method's options as keywords
@@ -94,18 +95,36 @@ class OnlineCalibrator:
             if len(self._waiting) >= _TOGETHER:
                 self._catch_up()
             return
-        self._catch_up()
-        self._take(time, magnetic_field, angular_rate)
+        try:
+            self._catch_up()
+        finally:  # an error of earlier samples must not cost the block
+            self._take(time, magnetic_field, angular_rate)
 
     def _catch_up(self) -> None:
-        """Take the single samples that are waiting."""
-        if self._waiting:
-            rows, self._waiting = self._waiting, []
-            self._take(*(np.array(column) for column in zip(*rows, strict=True)))
+        """Take the single samples that are waiting.
+
+        Raises:
+            MagycError: some cannot be taken, as where a clock was set back; the others are.
+        """
+        if not self._waiting:
+            return
+        rows, self._waiting = self._waiting, []
+        started = np.isfinite(self._intake.until).any()
+        try:
+            taken = self._intake.take(*(np.array(column) for column in zip(*rows, strict=True)))
+        except MagycError as problem:
+            if started:  # before the first sample, a wrong unit is in all of them
+                for row in rows:
+                    with suppress(MagycError):
+                        self._take(*(np.array([each]) for each in row))
+            raise problem from None
+        self._pass_on(*taken)
+
+    def _take(self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None) -> None:
+        self._pass_on(*self._intake.take(time, magnetic_field, angular_rate))
 
     @one_thread
-    def _take(self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None) -> None:
-        magnetometer, gyroscope = self._intake.take(time, magnetic_field, angular_rate)
+    def _pass_on(self, magnetometer: Samples, gyroscope: Samples) -> None:
         self._engine.update(*self._faults.take(magnetometer, gyroscope, self._intake.repeated))
 
     @property

@@ -45,13 +45,14 @@ class OnlineSmoother:
     Args:
         field_strength, noise, robust, delay, window, turn: as in `calibrate_smoother`.
         clock_drift: as in `calibrate_smoother`, counted from the first sample of the magnetometer.
-        hard_iron_walk, gyro_bias_walk: random walk of the hard iron, T per √h, and of the gyroscope bias, rad/s per √h.
+        hard_iron_drift, gyro_bias_drift: random walk of the hard iron, T per √h, and of the gyroscope bias, rad/s per
+            √h, while it runs.
         detect_changes: whether to look for steps in hard iron.
         angular_rate_is: as in `Recording`.
         horizon: duration of the samples that are kept for refits, s.
         prior: an earlier calibration of the same instrument with covariance (or its `to_dict`); it is used until a step
             in hard iron is found.
-        prior_walk: T, by which each axis of the hard iron may have changed since.
+        hard_iron_walk: T, by which each axis of the hard iron may have changed since, as in `calibrate_smoother`.
         field: (strength T, dip rad) at the place, as there; the dip is not used, because the vertical is unknown.
         misalignment: as in `calibrate_smoother`; estimated at every refit, and when a result is read.
     """
@@ -66,13 +67,13 @@ class OnlineSmoother:
         window: float = 1.5,
         turn: float | None = None,
         clock_drift: float = 0.0,
-        hard_iron_walk: float = 0.0,
-        gyro_bias_walk: float = 0.0,
+        hard_iron_drift: float = 0.0,
+        gyro_bias_drift: float = 0.0,
         detect_changes: bool = True,
         angular_rate_is: Literal["instant", "interval-mean"] = "instant",
         horizon: float = 3600.0,
         prior: Calibration | Mapping[str, Any] | None = None,
-        prior_walk: float = 0.0,
+        hard_iron_walk: float = 0.0,
         misalignment: float | Literal["auto"] = "auto",
         field: Any = None,
     ) -> None:
@@ -85,13 +86,13 @@ class OnlineSmoother:
                 window=window,
                 turn=turn,
                 clock_drift=clock_drift,
-                hard_iron_walk=hard_iron_walk,
-                gyro_bias_walk=gyro_bias_walk,
+                hard_iron_drift=hard_iron_drift,
+                gyro_bias_drift=gyro_bias_drift,
                 detect_changes=detect_changes,
                 angular_rate_is=angular_rate_is,
                 horizon=horizon,
                 prior=prior,
-                prior_walk=prior_walk,
+                hard_iron_walk=hard_iron_walk,
                 misalignment=misalignment,
                 field=field,
             )
@@ -144,7 +145,7 @@ class OnlineSmoother:
     def _smallest_step(self, fit: Fit) -> float:
         """Return the smallest step, T, that exceeds the random walk of the hard iron within the tail."""
         elapsed = float(fit.chain.windows.time[-1] - fit.chain.windows.time[0])
-        return max(SMALLEST, _NO_WALK * self._online.settings.hard_iron_walk * np.sqrt(elapsed / 3600))
+        return max(SMALLEST, _NO_WALK * self._online.settings.hard_iron_drift * np.sqrt(elapsed / 3600))
 
     def _shorten(self, fit: Fit, first: int) -> None:
         """Let the tail begin with its window `first`, and the head take those before."""

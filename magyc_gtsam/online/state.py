@@ -41,13 +41,13 @@ class OnlineOptions:
     window: float
     turn: float | None
     clock_drift: float
-    hard_iron_walk: float
-    gyro_bias_walk: float
+    hard_iron_drift: float
+    gyro_bias_drift: float
     detect_changes: bool
     angular_rate_is: Literal["instant", "interval-mean"]
     horizon: float
     prior: Calibration | Mapping[str, Any] | None
-    prior_walk: float
+    hard_iron_walk: float
     misalignment: float | Literal["auto"]
     field: Any
 
@@ -58,17 +58,18 @@ class OnlineOptions:
                 f"angular_rate_is: must be 'instant' or 'interval-mean', got {self.angular_rate_is!r}"
             )
         for name, least in (
+            ("hard_iron_drift", 0.0),
+            ("gyro_bias_drift", 0.0),
             ("hard_iron_walk", 0.0),
-            ("gyro_bias_walk", 0.0),
-            ("prior_walk", 0.0),
             ("horizon", 120.0),
         ):
             value = getattr(self, name)
             if isinstance(value, (bool, str)) or not least <= value < np.inf:
                 raise MagycError(f"{name}: must be a finite number of at least {least:g}, got {value!r}")
-        if self.prior is None and self.prior_walk:
+        if self.prior is None and self.hard_iron_walk:
             raise MagycError(
-                "prior_walk: what may have changed since an earlier calibration; give that calibration too (prior=)"
+                "hard_iron_walk: what may have changed since an earlier calibration; give that calibration too "
+                "(prior=), or hard_iron_drift for a hard iron that changes all the time"
             )
 
     @property
@@ -86,7 +87,7 @@ class OnlineOptions:
     @property
     def known(self) -> dict[str, Any]:
         """The prior knowledge as options of the batch method."""
-        return {} if self.prior is None else {"prior": self.prior, "hard_iron_walk": self.prior_walk}
+        return {} if self.prior is None else {"prior": self.prior, "hard_iron_walk": self.hard_iron_walk}
 
     @property
     def reject(self) -> bool:
@@ -102,7 +103,7 @@ class OnlineOptions:
     @property
     def walks(self) -> tuple[tuple[slice, float], ...]:
         """The parameters that walk at random, and by how much per √h."""
-        every = ((HARD_IRON, self.hard_iron_walk), (BIAS, self.gyro_bias_walk))
+        every = ((HARD_IRON, self.hard_iron_drift), (BIAS, self.gyro_bias_drift))
         return tuple((rows, walk) for rows, walk in every if walk)
 
 

@@ -18,7 +18,7 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array
 from magyc_gtsam.storage.whole_file import whole_file
 
-_FORMAT = "magyc-gtsam online state 11"
+_FORMAT = "magyc-gtsam online state 12"
 
 
 def write(

@@ -83,7 +83,7 @@ def fact_row(motion: str, duration: float, seed: int) -> dict[str, Row]:
             "bound": _bound(run, recording, options)
         }
     for way, field in (("matrix", None), ("strength", (run.field[0], None))):
-        online = OnlineCalibrator(**matrix, prior_walk=_MOVED, field=field)
+        online = OnlineCalibrator(**matrix, hard_iron_walk=_MOVED, field=field)
         online.update(recording.time, recording.magnetic_field, recording.angular_rate)
         calibration = online.calibration
         assert calibration is not None
