@@ -412,3 +412,15 @@ def test_what_is_stated_too_surely_is_not_true() -> None:
     assert true.log == pytest.approx(-0.97 * np.log(0.97) - 0.03 * np.log(0.03))
     assert true.brier == pytest.approx(2 * 0.97 * 0.03)
     assert sure.log > true.log
+
+
+def test_the_number_of_processes_is_the_one_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    given = []
+
+    def run(*arguments: object, **_: object) -> None:
+        given.append(arguments[3])
+        raise MagycError("enough")
+
+    monkeypatch.setattr("magyc_gtsam.blindtest.running.run", run)
+    assert cli.main(["study", "gap", "--motion", "wide", "--workers", "5", "-o", str(tmp_path)]) == 2
+    assert given == [5]

@@ -372,7 +372,14 @@ def test_numbers_of_options_need_no_point(
     log: Path, tmp_path: Path, inside: Callable[..., tuple[int, str]]
 ) -> None:
     inside(
-        log, "--quiet", "--state", "kept.state", "--option", "noise=[1e-6,5E-3]", "--option", "hard_iron_drift=1e-9"
+        log,
+        "--quiet",
+        "--state",
+        "kept.state",
+        "--option",
+        "noise=[1e-6,5E-3]",
+        "--option",
+        "hard_iron_drift=1e-9",
     )
     options = mg.OnlineCalibrator.load(tmp_path / "kept.state").options
     assert options == {"noise": [1e-6, 5e-3], "hard_iron_drift": 1e-9}

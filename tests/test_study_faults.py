@@ -187,6 +187,15 @@ def test_unknown_names_are_refused() -> None:
         running.cases(["nothing"], ["wide"], range(1))
 
 
+def test_a_draw_is_of_all_cases_and_the_same_again() -> None:
+    every = running.cases(["clean", "one-sided-spikes"], ["wide", "low"], range(8))
+    drawn = running.drawn(every, 10, seed=3)
+    assert drawn == running.drawn(every, 10, seed=3) != running.drawn(every, 10, seed=4)
+    assert len(set(drawn)) == 10
+    assert set(drawn) < set(every)
+    assert running.drawn(every, 1000, seed=3) == every
+
+
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = [
         "study",
@@ -204,5 +213,7 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     ]
     assert main([*run, "--fault", "clean"]) == 0
     assert "1 results: 0 wrong and trusted, 1 right and trusted, 0 refused, 0 crashed" in capsys.readouterr().out
+    assert main([*run, "--draw", "0"]) == 2
+    capsys.readouterr()
     assert main([*run, "--fault", "none"]) == 2
     assert "fault: 'none' is not one of" in capsys.readouterr().err

@@ -103,10 +103,20 @@ def run(
         list[str] | None,
         typer.Option(help="faults: batch, online or gap; may be repeated. Default: all."),
     ] = None,
+    draw: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="faults: only N of the recordings, drawn at random (by --first-seed). Default: all.",
+        ),
+    ] = None,
     first_seed: Annotated[
         int, typer.Option(min=0, help="efficiency, faults, known: seed of the first recording.")
     ] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Number of processes; efficiency and gap use one.")] = 2,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Number of processes; efficiency and gap-strengths use one.")
+    ] = 2,
     engine: Annotated[
         str,
         typer.Option(
@@ -157,12 +167,13 @@ def run(
     elif study is Study.GAP:
         from magyc_gtsam.cli.study_gap import blind_test
 
-        return blind_test(output or Path("results/blindtest"), runs, motion, sets, log or (), edition, foreign)
+        where = output or Path("results/blindtest")
+        return blind_test(where, runs, motion, sets, log or (), edition, foreign, workers)
     elif study is Study.FAULTS:
         from magyc_gtsam.cli.study_faults import faults
 
         seeds = range(first_seed, first_seed + runs)
-        return faults(output or Path("results/faults"), seeds, motion, fault or (), by or (), workers)
+        return faults(output or Path("results/faults"), seeds, motion, fault or (), by or (), workers, draw)
     elif study is Study.GAP_STRENGTHS:
         from magyc_gtsam.cli.study_gap import strengths
 

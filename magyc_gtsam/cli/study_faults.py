@@ -62,6 +62,7 @@ def faults(
     names: Sequence[str],
     methods: Sequence[str],
     workers: int,
+    draw: int | None = None,
 ) -> int:
     """Run the cases that are not done yet, print the worst cells and write all rows.
 
@@ -72,33 +73,35 @@ def faults(
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.simulation.motion import AMPLITUDES
     from magyc_gtsam.study.faults.catalogue import FAULTS
-    from magyc_gtsam.study.faults.running import cases, cells, covered, run
+    from magyc_gtsam.study.faults.running import cases, cells, covered, drawn, run
     from magyc_gtsam.study.faults.scoring import OUTCOMES
 
     unknown = sorted(set(methods) - set(METHODS))
     if unknown:
         raise MagycError(f"--by: {unknown[0]!r} is not one of {', '.join(METHODS)}")
     every = cases(names or list(FAULTS), motions or list(AMPLITUDES), seeds)
+    if draw is not None:
+        every = drawn(every, draw, seeds[0])
     with stages() as stage:
         chosen = {name: METHODS[name] for name in methods or METHODS}
         rows = run(folder, every, chosen, workers, stage(f"{len(every)} recordings by {', '.join(chosen)}"))
     table = cells(rows)
-    show_table(
-        ["fault", "strength", "motion", "by", *OUTCOMES, "hard iron µT", "heading °"],
+    header = ["fault", "strength", "motion", "by", *OUTCOMES, "hard iron µT", "heading °"]
+    worst = [
         [
-            [
-                cell.fault + ("" if FAULTS[cell.fault].shows else " (resembles askew chips)"),
-                f"{getattr(FAULTS[cell.fault], cell.strength):g} {FAULTS[cell.fault].unit}",
-                cell.motion,
-                cell.method,
-                *(f"{count}" for count in cell.counts.values()),
-                f"{1e6 * cell.hard_iron:.1f}",
-                f"{cell.heading:.1f}",
-            ]
-            for cell in table[:_SHOWN]
-            if cell.counts[OUTCOMES[0]] or cell.counts["crashed"]
-        ],
-    )
+            cell.fault + ("" if FAULTS[cell.fault].shows else " (resembles askew chips)"),
+            f"{getattr(FAULTS[cell.fault], cell.strength):g} {FAULTS[cell.fault].unit}",
+            cell.motion,
+            cell.method,
+            *(f"{count}" for count in cell.counts.values()),
+            f"{1e6 * cell.hard_iron:.1f}",
+            f"{cell.heading:.1f}",
+        ]
+        for cell in table[:_SHOWN]
+        if cell.counts[OUTCOMES[0]] or cell.counts["crashed"]
+    ]
+    if worst:
+        show_table(header, worst)
     total = {outcome: sum(cell.counts[outcome] for cell in table) for outcome in OUTCOMES}
     show("", f"{len(rows)} results: " + ", ".join(f"{count} {outcome}" for outcome, count in total.items()))
     hidden = covered(rows)

@@ -12,8 +12,6 @@ from magyc_gtsam.cli.terminal import show, show_table, stages
 if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
 
-WORKERS = 2
-
 
 def blind_test(
     folder: Path,
@@ -22,7 +20,8 @@ def blind_test(
     sets: Sequence[str] | None,
     logs: Sequence[str],
     edition: int,
-    foreign: Path | None = None,
+    foreign: Path | None,
+    workers: int,
 ) -> int:
     """Generate, seal, diagnose and score recordings; completed parts are not repeated.
 
@@ -64,7 +63,7 @@ def blind_test(
                 place,
                 scenario_list,
                 recordings,
-                WORKERS,
+                workers,
                 sealing=stage(f"{name}: sealing {len(scenario_list)} recordings"),
                 diagnosing=stage(f"{name}: diagnosing"),
                 outside=None if outside is None else outside.effects,

@@ -81,6 +81,12 @@ def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) ->
     ]
 
 
+def drawn(every: Sequence[Case], count: int, seed: int) -> list[Case]:
+    """Return some of the cases, drawn at random, in their order; all if there are no more than `count`."""
+    chosen = np.random.default_rng(seed).permutation(len(every))[:count]
+    return [every[k] for k in np.sort(chosen)]
+
+
 def run(
     folder: Path,
     every: Sequence[Case],
