@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
+from magyc_gtsam.factors.chain.preintegration import interruptions
 from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
@@ -71,7 +72,8 @@ def preintegrate(
         interval_mean: the rates are means since the previous stamp instead.
 
     Raises:
-        MagycError: wrong shapes, values that are not finite, or samples that do not cover the interval.
+        MagycError: wrong shapes, values that are not finite, samples that do not cover the interval, or a pause of the
+            gyroscope within it (`interruptions`).
     """
     t = measured("time", time, (None,))
     w = measured("angular_rate", angular_rate, (len(t), 3))
@@ -80,6 +82,13 @@ def preintegrate(
         covered = f"{t[0]:.3f} to {t[-1]:.3f} s" if len(t) else "none"
         raise MagycError(
             f"field link from {start:.3f} to {end:.3f} s needs ascending samples across it, got {covered}"
+        )
+    holes = interruptions(t)
+    holes = holes[(t[holes] < end) & (t[holes + 1] > start)]
+    if len(holes):
+        raise MagycError(
+            f"field link from {start:.3f} to {end:.3f} s: the gyroscope pauses from {t[holes[0]]:.3f} to "
+            f"{t[holes[0] + 1]:.3f} s; end the links before it and begin anew after it"
         )
     inside = (t > start) & (t < end)
     stamps = np.concatenate([[start], t[inside], [end]])

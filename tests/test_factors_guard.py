@@ -178,6 +178,10 @@ KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
         (lambda: preintegrate([0, 1], GOOD[:2], 0, 2), "from 0.000 to 2.000 s"),
         (lambda: preintegrate([0, 0, 1], GOOD[:3], 0, 1), "ascending"),
         (lambda: preintegrate([0, 1], GOOD[:2], 1, 1), "from 1.000 to 1.000 s"),
+        (
+            lambda: preintegrate(np.r_[0:1:0.1, 3:4:0.1], np.ones((20, 3)), 0.5, 3.5),
+            "pauses from 0.900 to 3.000 s",
+        ),
         (lambda: preintegrate([], np.empty((0, 3)), 0, 1), "got none"),
         (lambda: kernel("tukey"), "l1, huber, cauchy, geman-mcclure"),
         (lambda: robust_noise("cauchy", 1.0, 6), "give `tuning`"),

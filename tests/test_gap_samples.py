@@ -17,6 +17,7 @@ from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import determined, refit, with_term
 from magyc_gtsam.gap.model.variants import Projector, variants
 from magyc_gtsam.gap.naming.found import Found, term_places
+from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, sample_hold, tone
 from magyc_gtsam.gap.scores.look import NOISE_LIMIT
@@ -32,6 +33,11 @@ def test_a_tone_faster_than_the_windows_is_sized_and_taken_out() -> None:
     (effect,) = gap.effects
     assert effect.setting["frequency"] == pytest.approx(3.98, abs=2e-3)
     assert effect.sigma.max() < 0.05  # µT; means over windows of a second would know it to 1.6
+    assert sentences([effect]) == [effect.sentence]
+    harmonic = replace(effect, value=0.5 * effect.value, setting={"frequency": 7.96})
+    assert sentences([effect, harmonic]) == [
+        "tones of 3.98 and 7.96 Hz, 0.44 and 0.22 µT, are on the magnetometer"
+    ]
     # Phase and frequency hang together: what counts is what is taken out.
     (term,) = gap.calibration.terms
     taken = np.concatenate([term.value[:3], term.value[3:]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import gap_charts, gap_words, words
@@ -48,7 +49,7 @@ def render_gap(
         hypothesis_header=(*gap_words.HYPOTHESES, "in words"),
         significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant], explained=True),
         other_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if not h.significant], explained=True),
-        effect_sentences=[said(effect.sentence) for effect in gap.effects],
+        effect_sentences=[said(sentence) for sentence in sentences(gap.effects)],
         confusions=gap_words.confusion_sentences(gap),
         metric_header=gap_words.METRICS,
         metric_rows=gap_words.metric_rows(gap.before, gap.after),

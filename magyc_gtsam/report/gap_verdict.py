@@ -11,6 +11,7 @@ from magyc_gtsam.foreign_text import MOST_WORDS, clauses
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.outcome.agreement import Metrics
 from magyc_gtsam.gap.outcome.doubt import with_doubt
+from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Moved
 from magyc_gtsam.report.verdict import Verdict, said
 
@@ -124,7 +125,7 @@ def judged_gap(gap: Gap, validation: Validation | None = None, unjudged: str = "
         validation: its validation on another recording.
         unjudged: why the other recording could not validate it; "" if it could.
     """
-    whole = (*clauses(gap.sentence), *(effect.sentence for effect in gap.effects))
+    whole = (*clauses(gap.sentence), *sentences(gap.effects))
     noise = "" if validation is None else noise_there(validation)
     contradiction = None if validation is None else contradicted(gap, validation)
     if unjudged:
@@ -155,17 +156,18 @@ def _found(gap: Gap) -> str:
         return clauses(gap.sentence)[0]
     if len(effects) == 1 and len(effects[0].sentence.split()) <= MOST_WORDS:
         return effects[0].sentence
-    named = [f"{effect.label}{_size(effect)}" for effect in effects]
+    labels = dict.fromkeys(effect.label for effect in effects)
+    named = [f"{label}{_sizes([effect for effect in effects if effect.label == label])}" for label in labels]
     most = MOST_EFFECTS if len(named) > MOST_EFFECTS + 1 else len(named)
     rest = [f"{len(named) - most} more"] if len(named) > most else []
     return ", ".join(named[:most] + rest)
 
 
-def _size(effect: Effect) -> str:
-    """Return the length of the effect's value in brackets; "" without a unit."""
-    if not effect.unit:
+def _sizes(alike: Sequence[Effect]) -> str:
+    """Return the lengths of the values of effects of one label in brackets; "" without a unit."""
+    if not alike[0].unit:
         return ""
-    return f" ({float(np.linalg.norm(effect.value)):.2g} {effect.unit})"
+    return f" ({', '.join(f'{float(np.linalg.norm(each.value)):.2g}' for each in alike)} {alike[0].unit})"
 
 
 def _details(sentences: Sequence[str], *shown: str) -> tuple[str, ...]:

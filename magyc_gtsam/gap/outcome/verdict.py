@@ -8,6 +8,7 @@ from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
+from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.preparation.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
@@ -37,7 +38,7 @@ def verdict(effects: Sequence[Effect], left: Sequence[str], first: Look, catalog
     # Effects that change the heading come before effects on the noise.
     ordered = sorted(effects, key=lambda effect: effect.name not in TERMS and effect.name != "axis-order")
     word: Verdict = "closed" if all(effect.applied for effect in ordered) else "open"
-    return word, "; ".join(effect.sentence for effect in ordered)
+    return word, "; ".join(sentences(ordered))
 
 
 def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
