@@ -17,9 +17,10 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.evidence.posterior import SetWeight, kept, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
+from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.scores.neighbours import neighbours, product_of

@@ -15,9 +15,9 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import Answer, answer
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.outcome.agreement import Metrics
 from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolability, Moved
 from magyc_gtsam.report.words import Number, uncertain

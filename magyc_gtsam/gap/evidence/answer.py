@@ -74,9 +74,10 @@ def answer(
         level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.level))
         recording = smoothed(given, model, coarse, fine)
         problem = problem_of(recording)
+    tree = None
     for turn in range(_ROUNDS):
         start = refit(problem, _bare(base.model, level), None)
-        tree = Tree(start, allowed, base.model.terms)
+        tree = Tree(start, allowed, base.model.terms, tree.near if tree else ())
         before, model = recording, tree.best.fit.model
         if stepped and not turn:  # once more, with a better model
             recording = smoothed(given, model, coarse, fine_innovations(given, model))
@@ -99,6 +100,7 @@ def answer(
                 fine, found = singles_of(recording, model)
         if recording is before:
             break
+    assert tree is not None
     return Answer(recording, tree, _posterior(tree, said, COLOUR in names), tuple(left_out))
 
 

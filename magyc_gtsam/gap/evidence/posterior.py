@@ -12,8 +12,9 @@ from scipy.special import logsumexp
 
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.laplace import Terms
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
+from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import Weighed
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active

@@ -8,96 +8,44 @@ place (`field_variation`). Further effects and families are tested beside a set 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
 from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
 from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
-from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term, without_term
-from magyc_gtsam.gap.model.variants import Projector
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
-FIELD_VARIATION = "field-variation"
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
 _FINER = 2  # rounds of refining a setting
 _BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 
 
-@dataclass(frozen=True, eq=False)
-class Node:
-    """A set of effects at its joint minimum.
-
-    Attributes:
-        names: of the set, in the order in which they were added.
-        fit: of the model with them.
-        variation: of the field, if it is in the set.
-        log: log evidence of the set with its prior odds, relative to no effect, nats.
-        search: nats by which the grid searches reduce `log`.
-        misfit: mean square of the residual, in its noise.
-        explained: power that the set explains.
-        powers: (t, t) power of each term beside the others, and as a deviation of another one (`marginal`).
-        beside: the marginalised set, beside which candidates are tested.
-        found: the candidates tested beside it.
-        moving: nats of a variation like that of the field, but in the sensor's axes: of an unknown effect.
-        refined: names whose most probable setting was refined on a finer grid.
-    """
-
-    names: tuple[str, ...]
-    fit: Refit
-    variation: FieldVariation | None
-    log: float
-    search: float
-    misfit: float
-    explained: float
-    powers: Array
-    beside: Beside
-    found: dict[str, Weighed] = field(default_factory=dict)
-    moving: list[float] = field(default_factory=list)
-    refined: set[str] = field(default_factory=set)
-
-    @property
-    def key(self) -> tuple[str, ...]:
-        """Return the names, sorted."""
-        return tuple(sorted(self.names))
-
-    @cached_property
-    def left(self) -> Array:
-        """Return the innovations (3n,) after the fit of parameters and terms, without the field variation."""
-        twin = self.fit.twin
-        result: Array = Projector(twin.base_columns, twin.base_score_bias)(twin.residual().reshape(1, -1))[0]
-        return result
-
-    @property
-    def named(self) -> float:
-        """Return the power that its named effects explain."""
-        return self.explained - self.of_field if self.names else 0.0
-
-    @cached_property
-    def of_field(self) -> float:
-        """Return the power that the field variation explains beside the named effects."""
-        if self.variation is None:
-            return 0.0
-        without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)
-        return max(without - self.misfit * rows, 0.0)
-
-
 class Tree:
     """The fitted sets of effects of one recording."""
 
-    def __init__(self, root: Refit, names: Sequence[str], given: Sequence[Active] = ()) -> None:
-        """Grow the tree from a model without effects; `given` are the terms of a calibration, fitted in any case."""
+    def __init__(
+        self, root: Refit, names: Sequence[str], given: Sequence[Active] = (), before: Sequence[Node] = ()
+    ) -> None:
+        """Grow the tree from a model without effects.
+
+        Args:
+            root: the fit of that model.
+            names: candidates.
+            given: terms of a calibration, fitted in any case.
+            before: sets of nearly the same readings, from which the tree is grown.
+        """
         self._problem, self._names = root.twin.problem, tuple(names)
         self.candidates = Candidates.of(root.twin, self._names)
         terms = Terms.of(root)
@@ -105,9 +53,9 @@ class Tree:
         self.square, self.freedom = plain.square, len(terms.residual) - len(terms.base)
         self.nodes: dict[tuple[str, ...], Node] = {}
         self.refused: set[tuple[str, ...]] = set()  # sets with an impossible value, or without convergence
-        first = self._node((), root, None, 0.0)
-        self.nodes[first.key] = first
-        self._grow([first, *self._given(root, given)])
+        first = [self._node((), root, None, 0.0), *self._given(root, given), *self._again(root, before)]
+        self.nodes |= {node.key: node for node in first}
+        self._grow(first)
         while self._exchanged() or self._deepened():
             pass
 
@@ -116,14 +64,29 @@ class Tree:
         """Return the most probable set."""
         return max(self.nodes.values(), key=lambda node: node.log)
 
+    @property
+    def near(self) -> list[Node]:
+        """Return the sets of effects that are probable, alone or with a candidate more."""
+        return [
+            node
+            for node in self.nodes.values()
+            if node.names
+            and node.log + max([0.0, *(each.log for each in node.found.values())]) > self.best.log - PRIOR.close
+        ]
+
     def _given(self, root: Refit, given: Sequence[Active]) -> Iterator[Node]:
         model = root.model
         for term in given:
             model = with_term(model, term)
         if given:
-            node = self._node(tuple(term.name for term in given), refit(self._problem, model, None), None, 0.0)
-            self.nodes[node.key] = node
-            yield node
+            yield self._node(tuple(term.name for term in given), refit(self._problem, model, None), None, 0.0)
+
+    def _again(self, root: Refit, before: Sequence[Node]) -> Iterator[Node]:
+        """Fit sets of nearly the same readings."""
+        for old in before:
+            fit = self._fit(old.key, replace(old.fit.model, noise=root.model.noise), None)
+            if fit is not None:
+                yield self._node(old.names, fit, old.variation and field_variation(fit.twin), old.search)
 
     def _grow(self, frontier: list[Node]) -> None:
         while frontier and len(self.nodes) < PRIOR.nodes:
@@ -138,18 +101,20 @@ class Tree:
     def _exchanged(self) -> bool:
         """Exchange an effect of the best set for one or two of its rivals; return whether a better set was found.
 
-        The strongest single effect may resemble the sum of two others, as a drift does that of two jumps.
+        The strongest single effect may resemble the sum of two others, as a drift does that of two jumps. One of the
+        two then explains at least half of what the effect does.
         """
         best = self.best
         for index, term in enumerate(best.fit.model.terms):
             node = self.less(best, index)
-            rivals = [each for each in best_of(node.found, len(TERMS)) if related(each.name, term.name)]
-            for option in rivals[: PRIOR.beam]:
+            half = 0.5 * (best.log - node.log)
+            for option in node.rivals(term.name)[: PRIOR.beam]:
+                if option.log + PRIOR.named < half:
+                    break
                 one = self._fitted(node, option)
                 if one is None:
                     continue
-                again = [each for each in best_of(one.found, len(TERMS)) if related(each.name, term.name)][:1]
-                for more in again if len(one.names) < PRIOR.depth else []:
+                for more in one.rivals(term.name)[:1] if len(one.names) < PRIOR.depth else []:
                     self._fitted(one, more)
         return self.best is not best
 
@@ -157,20 +122,16 @@ class Tree:
         """Add one more effect to the best set, and to those that may become better; return whether one is."""
         best = self.best
         for node in list(self.nodes.values()):
-            options = [each for each in best_of(node.found, len(TERMS)) if not self._full(node, each.name)][:1]
+            options = [each for each in best_of(node.found, len(TERMS)) if not node.full(each.name)][:1]
             ahead = (each for each in options if node is best or node.log + each.log + PRIOR.named > best.log)
             for option in ahead if len(node.fit.model.terms) < PRIOR.depth else ():
                 self._fitted(node, option)
         return self.best is not best
 
-    @staticmethod
-    def _full(node: Node, name: str) -> bool:
-        return node.names.count(name) >= TERMS[name].most
-
     def _fitted(self, node: Node, option: Weighed) -> Node | None:
         """Return a set with one more effect, fitted if necessary; None if it has no fit, or the limit is reached."""
         key = tuple(sorted((*node.names, option.name)))
-        full = self._full(node, option.name)
+        full = node.full(option.name)
         if key not in self.nodes and not full and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
             child = self._child(node, option)
             if child is not None:
@@ -209,7 +170,7 @@ class Tree:
             if option.log + PRIOR.named < -1.0 or option.log < options[0].log - PRIOR.close:
                 continue
             key = tuple(sorted((*node.names, option.name)))
-            if key in self.nodes or self._full(node, option.name):
+            if key in self.nodes or node.full(option.name):
                 continue
             if len(self.nodes) < PRIOR.nodes:
                 child = self._child(node, option)
@@ -224,17 +185,23 @@ class Tree:
         if option.name not in node.refined:
             setting = dict(self._finer(node, option).setting)
         count = len(term.regressors(node.fit.twin, setting).window)
-        try:
-            model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
-            fit = refit(self._problem, model, None, node.fit.twin, _BEYOND * RULES.farthest)
-        except MagycError:
-            self.refused.add(key)
-            return None
-        if not all(possible(fit, index) for index in range(len(fit.model.terms))):
-            self.refused.add(key)
+        model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
+        fit = self._fit(key, model, node.fit.twin)
+        if fit is None:
             return None
         variation = None if node.variation is None else field_variation(fit.twin)
         return self._node((*node.names, option.name), fit, variation, node.search + option.search)
+
+    def _fit(self, key: tuple[str, ...], model: Model, known: Twin | None) -> Refit | None:
+        """Fit a model; None, and its names are refused, if there is no fit or a value is impossible."""
+        try:
+            fit = refit(self._problem, model, None, known, _BEYOND * RULES.farthest)
+        except MagycError:
+            fit = None
+        if fit is None or not all(possible(fit, index) for index in range(len(fit.model.terms))):
+            self.refused.add(key)
+            return None
+        return fit
 
     def _node(self, names: tuple[str, ...], fit: Refit, variation: FieldVariation | None, search: float) -> Node:
         terms = Terms.of(fit)
@@ -291,8 +258,3 @@ class Tree:
         if "hard-iron-drift" not in node.names:
             found |= one_way(self.candidates, node.beside, node.named)
         return found
-
-
-def related(one: str, other: str) -> bool:
-    """Return whether one effect is confused with the other according to the catalogue, or is the same."""
-    return one == other or other in TERMS[one].rivals or one in TERMS[other].rivals

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, islice
 
@@ -110,13 +110,22 @@ def determined(one: Variant, within: float) -> Variant:
     return replace(one, unit=d[kept] @ one.unit, back=(value * sigma)[:, kept], offset=d[kept] @ one.offset)
 
 
-def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str, float]]) -> list[Variant]:
-    """Prepare a named effect at several settings, adjacent ones with equally many columns together."""
+def variants(
+    twin: Twin,
+    project: Projector,
+    name: str,
+    settings: list[dict[str, float]],
+    whiten: Callable[[Array], Array] = lambda rows: rows,
+) -> list[Variant]:
+    """Prepare a named effect at several settings, adjacent ones with equally many columns together.
+
+    `whiten` is applied to the columns, which are white with respect to the noise of the sensors, before `project`.
+    """
     made = ((setting, TERMS[name].regressors(twin, setting)) for setting in settings)
     result: list[Variant] = []
     for count, alike in groupby(made, key=lambda each: len(each[1].window)):
         while some := list(islice(alike, max(_AT_ONCE // (3 * twin.n * count), 1))):
-            rows = twin.whiten(together([part for _, part in some])).reshape(len(some), count, -1)
+            rows = whiten(twin.whiten(together([part for _, part in some]))).reshape(len(some), count, -1)
             score_bias = np.array(
                 [np.zeros(count) if part.score_bias is None else part.score_bias for _, part in some]
             )

@@ -20,9 +20,10 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
 from magyc_gtsam.gap.evidence.decision import marginals
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.posterior import Set, kept, names_of
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
+from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.problem import Active, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin

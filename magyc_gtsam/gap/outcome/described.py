@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.naming.found import Found, term_places
 from magyc_gtsam.gap.outcome.step_time import step_time_sigma

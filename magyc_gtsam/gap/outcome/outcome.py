@@ -11,7 +11,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
 from magyc_gtsam.gap.naming.found import Found, as_found, term_places

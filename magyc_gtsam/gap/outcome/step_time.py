@@ -9,7 +9,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, without_term
-from magyc_gtsam.gap.model.variants import Projector, variant
+from magyc_gtsam.gap.model.variants import Projector, variants
 
 _REACH = 60.0  # s on each side
 _FEWEST = 12  # windows on each side
@@ -35,12 +35,10 @@ def step_time_sigma(refitted: Refit, index: int) -> float:
     window = float(np.median(np.diff(twin.time)))
     reach = max(_FEWEST, round(_REACH / window))
     times = edges[max(at - reach, 0) : at + reach + 1]
-    profile = []
-    for time in times:
-        setting = {**term.setting, "time": float(time)}
-        d = variant(setting, whitened(twin.whiten(twin.columns(term.name, setting))), project).score(target)
-        profile.append(float(np.vdot(d, d)))
-    weight = np.exp(0.5 * (np.array(profile) - max(profile)))
+    settings = [{**term.setting, "time": float(time)} for time in times]
+    scores = [one.score(target) for one in variants(twin, project, term.name, settings, whitened)]
+    profile = np.array([float(d @ d) for d in scores])
+    weight = np.exp(0.5 * (profile - profile.max()))
     weight /= weight.sum()
     spread = float(weight @ (times - weight @ times) ** 2)
     return float(np.sqrt(spread + window**2 / 12))  # the position of a step within a window is unknown

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
 from magyc_gtsam.gap.outcome.sentences import sentences
