@@ -91,6 +91,7 @@ class Rules:
     lattice_off: float = 0.02  # steps by which distances between values may deviate from a multiple
     motion_held: float = 0.98  # share of the field's changes below the edge of the motion's frequencies
     motion_harmonics: float = 2.0  # times that edge, below which a line may be due to the motion
+    motion_line: float = 30.0  # times the level beside it, above which the gyroscope has a line
     pattern: float = (
         1e-3  # share of a constant's power that uneven times put at a frequency, above which it is excluded
     )

@@ -11,7 +11,7 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
-from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, singles_of, smoothed, without
+from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, smoothed, without
 from magyc_gtsam.gap.evidence.posterior import (
     Set,
     SetWeight,
@@ -32,6 +32,7 @@ from magyc_gtsam.recording import Recording
 
 COLOUR = "coloured-noise"
 _ROUNDS = 3  # of removing effects on single samples
+_LINES = 4  # removed in each round, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +84,10 @@ def answer(
             recording = smoothed(given, model, coarse, fine_innovations(given, model))
             problem = problem_of(recording)
         fine, found = singles_of(recording, model)
-        for name in SINGLE:
+        for name in ("spikes", *("tone",) * _LINES):
             score, known = found[name], said.get(name, -np.inf)
             odds = log_odds(score)
-            form = score.statistic < PRIOR.form * tree.best.of_field
+            form = name == "spikes" and score.statistic < PRIOR.form * tree.best.of_field
             # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
             rounded = stepped and name == "spikes" and score.value[0] < coarse.value[0]
             known_too = known > 0 and name != "tone"
