@@ -52,16 +52,19 @@ def test_a_late_magnetometer_is_found(shared_data: Path) -> None:
     np.testing.assert_allclose(*found, atol=1.0)
 
 
-def test_a_small_step_put_in_is_found_beside_the_room(shared_data: Path) -> None:
+def test_a_small_step_and_a_tone_put_in_are_found_beside_the_room(shared_data: Path) -> None:
     """Of twice the published strength in 50 s, in a room that leaves more than it explains; the delay stays."""
     recording = mg.read(shared_data / "broad_01_slow_rotation.mcap").between(36, 86)
     stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 2.0)], seed=5)
-    candidates = ["timing", "hard-iron-step", "hard-iron-drift", "local-anomaly", "misalignment"]
+    hum = np.array([0.2e-6, -0.1e-6, 0.15e-6]) * np.sin(2 * np.pi * 14.5 * stepped.time)[:, None]
+    stepped = replace(stepped, magnetic_field=stepped.magnetic_field + hum)
+    candidates = ["tone", "timing", "hard-iron-step", "hard-iron-drift", "local-anomaly", "misalignment"]
     found = {e.name: e for e in mg.find_gap(stepped, candidates=candidates).effects}
     assert found["timing"].value[0] == pytest.approx(10.8, abs=0.5)
     step = found["hard-iron-step"]
     assert step.setting["time"] - recording.time[0] == pytest.approx(truth.drawn["time"], abs=1.0)
     np.testing.assert_allclose(step.value, 1.2 * truth.drawn["direction"], atol=0.2)
+    assert found["tone"].setting["frequency"] == pytest.approx(14.5, abs=0.02)
 
 
 def test_a_magnetometer_that_holds_two_rows_is_held(shared_data: Path) -> None:

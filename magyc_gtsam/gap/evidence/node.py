@@ -8,7 +8,7 @@ from functools import cached_property
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.weighing import Weighed, best_of
+from magyc_gtsam.gap.evidence.weighing import Weighed
 from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.variants import Projector
@@ -73,9 +73,9 @@ class Node:
         without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)
         return max(without - self.misfit * rows, 0.0)
 
-    def rivals(self, name: str) -> list[Weighed]:
-        """Return the candidates that are confused with an effect, the most probable first."""
-        return [each for each in best_of(self.found, len(TERMS)) if related(each.name, name)]
+    def with_name(self, name: str) -> tuple[str, ...]:
+        """Return the key of the set with one more name."""
+        return tuple(sorted((*self.names, name)))
 
     def full(self, name: str) -> bool:
         """Return whether the set contains an effect as often as it may."""

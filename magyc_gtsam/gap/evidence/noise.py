@@ -8,6 +8,7 @@ import numpy as np
 
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.coarse import unrounded
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations, single_scores
 from magyc_gtsam.gap.samples.motion_lines import follows_motion
@@ -19,7 +20,7 @@ from magyc_gtsam.recording import Recording
 def log_odds(score: NoiseScore) -> float:
     """Return the log odds of an effect on single samples, from its gain in likelihood beyond chance."""
     # Bound for the p-value of the largest of many lines: −ln(e p ln(1/p)) (Sellke, Bayarri and Berger 2001).
-    of_search = 1 + np.log(max(score.evidence, 1.0)) if score.name == "tone" else 0.0
+    of_search = 1 + np.log(max(score.evidence, 1.0)) + RULES.unsure_line if score.name == "tone" else 0.0
     gain = score.evidence - of_search
     return float(min(gain + PRIOR.named, 2 * PRIOR.certain)) if score.significant else -PRIOR.certain
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
-from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
@@ -108,31 +109,39 @@ class Tree:
         for index, term in enumerate(best.fit.model.terms):
             node = self.less(best, index)
             half = 0.5 * (best.log - node.log)
-            for option in node.rivals(term.name)[: PRIOR.beam]:
+            for option in islice(self._options(node, term.name), PRIOR.beam):
                 if option.log + PRIOR.named < half:
                     break
                 one = self._fitted(node, option)
-                if one is None:
-                    continue
-                for more in one.rivals(term.name)[:1] if len(one.names) < PRIOR.depth else []:
-                    self._fitted(one, more)
+                if one is not None and len(one.names) < PRIOR.depth:
+                    for more in islice(self._options(one, term.name), 1):
+                        self._fitted(one, more)
         return self.best is not best
 
     def _deepened(self) -> bool:
         """Add one more effect to the best set, and to those that may become better; return whether one is."""
         best = self.best
         for node in list(self.nodes.values()):
-            options = [each for each in best_of(node.found, len(TERMS)) if not node.full(each.name)][:1]
-            ahead = (each for each in options if node is best or node.log + each.log + PRIOR.named > best.log)
-            for option in ahead if len(node.fit.model.terms) < PRIOR.depth else ():
-                self._fitted(node, option)
+            for option in self._options(node) if len(node.fit.model.terms) < PRIOR.depth else ():
+                ahead = node is best or node.log + option.log + PRIOR.named > best.log
+                if not ahead or self._fitted(node, option) is not None or len(self.nodes) >= PRIOR.most:
+                    break
         return self.best is not best
+
+    def _options(self, node: Node, instead_of: str | None = None) -> Iterator[Weighed]:
+        """Yield the candidates that may be added to a set, or those confused with an effect, the most probable first.
+
+        A set that was refused since the last one, with a value that is impossible, makes room for the next.
+        """
+        for each in best_of(node.found, len(TERMS)):
+            fits = instead_of is None or related(each.name, instead_of)
+            if fits and not node.full(each.name) and node.with_name(each.name) not in self.refused:
+                yield each
 
     def _fitted(self, node: Node, option: Weighed) -> Node | None:
         """Return a set with one more effect, fitted if necessary; None if it has no fit, or the limit is reached."""
-        key = tuple(sorted((*node.names, option.name)))
-        full = node.full(option.name)
-        if key not in self.nodes and not full and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
+        key = node.with_name(option.name)
+        if key not in self.nodes and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
             child = self._child(node, option)
             if child is not None:
                 self.nodes[key] = child
@@ -159,34 +168,30 @@ class Tree:
 
     def _children(self, node: Node) -> Iterator[Node]:
         if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.freedom):
-            key = tuple(sorted((*node.names, FIELD_VARIATION)))
+            key = node.with_name(FIELD_VARIATION)
             variation = field_variation(node.fit.twin)
             if len(variation.components):
                 node.moving.append(field_variation(node.fit.twin, in_world=False).gain - _VARIES)
             if key not in self.nodes and len(variation.components):
                 yield self._node((*node.names, FIELD_VARIATION), node.fit, variation, node.search)
-        options = best_of(node.found, PRIOR.beam)
-        for option in options:
-            if option.log + PRIOR.named < -1.0 or option.log < options[0].log - PRIOR.close:
-                continue
-            key = tuple(sorted((*node.names, option.name)))
-            if key in self.nodes or node.full(option.name):
-                continue
-            if len(self.nodes) < PRIOR.nodes:
+        least, count = -1.0 - PRIOR.named, 0
+        for option in self._options(node):
+            if option.log < least or count == PRIOR.beam or len(self.nodes) >= PRIOR.nodes:
+                break
+            if node.with_name(option.name) not in self.nodes:
                 child = self._child(node, option)
-                if child is not None:
-                    yield child
+                if child is None:
+                    continue
+                yield child
+            least, count = max(least, option.log - PRIOR.close), count + 1
 
     def _child(self, node: Node, option: Weighed) -> Node | None:
         term, setting = TERMS[option.name], dict(option.setting)
-        key = tuple(sorted((*node.names, option.name)))
-        if key in self.refused:
-            return None
         if option.name not in node.refined:
             setting = dict(self._finer(node, option).setting)
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
-        fit = self._fit(key, model, node.fit.twin)
+        fit = self._fit(node.with_name(option.name), model, node.fit.twin)
         if fit is None:
             return None
         variation = None if node.variation is None else field_variation(fit.twin)
