@@ -73,7 +73,7 @@ class Node:
         without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)
         return max(without - self.misfit * rows, 0.0)
 
-    def with_name(self, name: str) -> tuple[str, ...]:
+    def key_with(self, name: str) -> tuple[str, ...]:
         """Return the key of the set with one more name."""
         return tuple(sorted((*self.names, name)))
 

@@ -200,7 +200,7 @@ def _contains(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
 
 
 def kept(tree: Tree, node: Node) -> list[int]:
-    """Return the terms of a set that exceed the deviation from its form of a related one or of the field variation.
+    """Return the terms of a set that exceed the deviation from its form of another one or of the field variation.
 
     If each of two terms may be the deviation of the other, the one with more evidence remains.
     """

@@ -135,12 +135,12 @@ class Tree:
         """
         for each in best_of(node.found, len(TERMS)):
             fits = instead_of is None or related(each.name, instead_of)
-            if fits and not node.full(each.name) and node.with_name(each.name) not in self.refused:
+            if fits and not node.full(each.name) and node.key_with(each.name) not in self.refused:
                 yield each
 
     def _fitted(self, node: Node, option: Weighed) -> Node | None:
         """Return a set with one more effect, fitted if necessary; None if it has no fit, or the limit is reached."""
-        key = node.with_name(option.name)
+        key = node.key_with(option.name)
         if key not in self.nodes and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
             child = self._child(node, option)
             if child is not None:
@@ -168,7 +168,7 @@ class Tree:
 
     def _children(self, node: Node) -> Iterator[Node]:
         if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.freedom):
-            key = node.with_name(FIELD_VARIATION)
+            key = node.key_with(FIELD_VARIATION)
             variation = field_variation(node.fit.twin)
             if len(variation.components):
                 node.moving.append(field_variation(node.fit.twin, in_world=False).gain - _VARIES)
@@ -178,7 +178,7 @@ class Tree:
         for option in self._options(node):
             if option.log < least or count == PRIOR.beam or len(self.nodes) >= PRIOR.nodes:
                 break
-            if node.with_name(option.name) not in self.nodes:
+            if node.key_with(option.name) not in self.nodes:
                 child = self._child(node, option)
                 if child is None:
                     continue
@@ -191,7 +191,7 @@ class Tree:
             setting = dict(self._finer(node, option).setting)
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
-        fit = self._fit(node.with_name(option.name), model, node.fit.twin)
+        fit = self._fit(node.key_with(option.name), model, node.fit.twin)
         if fit is None:
             return None
         variation = None if node.variation is None else field_variation(fit.twin)
