@@ -201,6 +201,8 @@ def test_the_same_recording_is_not_counted_twice(tmp_path):
         MagycError, match="fitted to this recording, whose samples would count twice; leave the prior"
     ):
         calibrate(renamed, prior=Calibration.load(tmp_path / "earlier.yaml"))
+    with pytest.raises(MagycError, match="would count twice"):
+        calibrate(first, prior=earlier.to_dict())  # as the command line gives it
     both = calibrate(second, prior=earlier)
     assert both.fitted_to == (earlier.fitted_to[0], calibrate(second).fitted_to[0])
     with pytest.raises(MagycError, match="would count twice"):

@@ -185,6 +185,8 @@ def test_coverage_is_that_of_faults_that_no_data_show() -> None:
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(mg.MagycError, match="fault: 'nothing' is not one of clean, one-sided-spikes, "):
         running.cases(["nothing"], ["wide"], range(1))
+    with pytest.raises(mg.MagycError, match="motion: 'flat' is not one of wide, moderate, "):
+        running.cases(["clean"], ["flat"], range(1))
 
 
 def test_a_draw_is_of_all_cases_and_the_same_again() -> None:

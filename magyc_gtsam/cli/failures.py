@@ -11,7 +11,8 @@ def explained(error: Exception) -> str:
     if usage is not None:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else "magyc-gtsam"
-        return f"{usage().replace('Value error, ', '').removesuffix('.')}; see {path} --help"
+        text = usage().replace("Value error, ", "").removesuffix(".")
+        return f"{text}{' See' if text.endswith('?') else '; see'} {path} --help"
     from magyc_gtsam.factors.errors import MagycError
 
     if isinstance(error, MagycError):

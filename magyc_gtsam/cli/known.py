@@ -55,7 +55,7 @@ class GivenFacts:
             result["field"] = place
         else:
             result["field_strength"] = scale.tesla()
-        result |= beforehand(self.misalignment, self.prior)
+        result |= beforehand(self.misalignment, self.prior, self.hard_iron_walk)
         if self.gyroscope_scale is not None:
             result["gyroscope_scale"] = self.gyroscope_scale * 1e-2
         if self.heading is not None:
@@ -64,21 +64,16 @@ class GivenFacts:
             result["declination"] = scale.declination()
         elif self.heading_sigma is not None:
             raise MagycError("--heading-sigma: has no effect without --heading CHANNEL")
-        for name, walk in (("hard-iron", self.hard_iron_walk), ("soft-iron", self.soft_iron_walk)):
-            if walk is not None and not walk >= 0:
-                raise MagycError(f"--{name}-walk: must be 0 or more, got {walk:g}")
-        if self.hard_iron_walk is not None:
-            result["hard_iron_walk"] = self.hard_iron_walk * 1e-6
         if self.soft_iron_walk is not None:
-            result["soft_iron_walk"] = self.soft_iron_walk * 1e-2
+            result["soft_iron_walk"] = 1e-2 * _not_negative("--soft-iron-walk", self.soft_iron_walk)
         return result
 
 
-def beforehand(misalignment: str | None, prior: Path | None) -> dict[str, Any]:
-    """Return misalignment and prior as arguments of the smoother, batch and online, in JSON types.
+def beforehand(misalignment: str | None, prior: Path | None, hard_iron_walk: float | None) -> dict[str, Any]:
+    """Return misalignment (degrees), prior and walk (µT) as arguments of the smoother, batch and online, in JSON types.
 
     Raises:
-        MagycError: the misalignment is not a number, or the prior is not a calibration.
+        MagycError: the misalignment or the walk is not such a number, or the prior is not a calibration.
     """
     from magyc_gtsam.factors.errors import MagycError
 
@@ -99,4 +94,14 @@ def beforehand(misalignment: str | None, prior: Path | None) -> dict[str, Any]:
         from magyc_gtsam.calibration import Calibration
 
         result["prior"] = Calibration.load(prior).to_dict()
+    if hard_iron_walk is not None:
+        result["hard_iron_walk"] = 1e-6 * _not_negative("--hard-iron-walk", hard_iron_walk)
     return result
+
+
+def _not_negative(option: str, value: float) -> float:
+    from magyc_gtsam.factors.errors import MagycError
+
+    if not value >= 0:
+        raise MagycError(f"{option}: must be 0 or more, got {value:g}")
+    return value

@@ -109,12 +109,9 @@ def run(
     )
     place = scale.place() if method in (None, _METHOD) else None
     options: dict[str, Any] = {"field_strength": scale.tesla()} if place is None else {"field": list(place)}
-    options |= {
-        "angular_rate_is": angular_rate_is,
-        "hard_iron_walk": None if hard_iron_walk is None else hard_iron_walk * 1e-6,
-    }
+    options["angular_rate_is"] = angular_rate_is
     options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
-    options |= beforehand(misalignment, prior)
+    options |= beforehand(misalignment, prior, hard_iron_walk)
     online = _calibrator(state, method, options)
     if idle is None and is_file(log):
         idle = _FILE_IDLE

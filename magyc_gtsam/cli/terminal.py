@@ -78,6 +78,8 @@ def _stage_in_lines(name: str) -> Progress:
 
 def show(*sentences: str) -> None:
     """Print sentences on standard output: wrapped at words on a terminal, one per line in a pipe."""
+    if not sentences:
+        return
     if not _on_a_terminal():
         _write([printable(sentence) for sentence in sentences])
         return

@@ -186,6 +186,8 @@ def calibrate(
         there = ", ".join(sorted(allowed.keys() - {"progress"}))
         raise MagycError(f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {there}")
     own, earlier = fingerprint(recording), given.get("prior")
+    if isinstance(earlier, Mapping):
+        earlier = given["prior"] = Calibration.from_dict(earlier)
     before = earlier.fitted_to if isinstance(earlier, Calibration) else ()
     if own in before:
         raise MagycError(

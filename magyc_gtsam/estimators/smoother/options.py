@@ -209,6 +209,7 @@ class SmootherOptions:
         if self.prior is not None:
             left_out = ("diagnostics", "observability", "configuration")
             result["prior"] = {k: v for k, v in self.prior.to_dict().items() if k not in left_out}
+            result["prior"]["diagnostics"] = {"recordings": list(self.prior.fitted_to)}
         return result
 
 

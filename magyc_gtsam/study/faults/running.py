@@ -13,6 +13,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.engine import DIED, Progress, Row, run_many, write_rows
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.simulation.motion import MOTIONS
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import OUTCOMES, FaultScore, crashed, score
 from magyc_gtsam.study.faults.signals import LoggedSamples, record
@@ -67,8 +68,11 @@ def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) ->
     """Return the cases of every fault at both strengths, and of "clean" once.
 
     Raises:
-        MagycError: an unknown fault.
+        MagycError: an unknown fault or motion.
     """
+    for motion in motions:
+        if motion not in MOTIONS:
+            raise MagycError(f"motion: {motion!r} is not one of {', '.join(MOTIONS)}")
     unknown = [name for name in names if name not in FAULTS]
     if unknown:
         raise MagycError(f"fault: {unknown[0]!r} is not one of {', '.join(FAULTS)}")
