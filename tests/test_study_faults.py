@@ -215,6 +215,8 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     ]
     assert main([*run, "--fault", "clean"]) == 0
     assert "1 results: 0 wrong and trusted, 1 right and trusted, 0 refused, 0 crashed" in capsys.readouterr().out
+    assert main(["study", "efficiency", "--motion", "wide"]) == 2  # was ignored
+    assert "--motion: has no effect on study efficiency, only on gap, faults" in capsys.readouterr().err
     assert main([*run, "--draw", "0"]) == 2
     capsys.readouterr()
     assert main([*run, "--fault", "none"]) == 2

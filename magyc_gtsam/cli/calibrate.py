@@ -94,7 +94,7 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Calibrate the sensors of a log, or of many logs, each by itself.
+    """Calibrate the sensors of a log, or of each of many logs.
 
     Writes calibration.yaml, configuration.yaml, report.html and the parameters to paste.
     Exit code 1: done, but the result must not be trusted; the reason is printed and no parameters are written.

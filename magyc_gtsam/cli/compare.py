@@ -41,11 +41,11 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Calibrate a log with every method that it allows, and compare the results.
+    """Compare the results of every method on a log.
 
-    Writes comparison.csv, comparison.json, configuration.yaml and report.html. If a method fails, its reason is
-    reported and the others still run; Ctrl-C keeps the methods that have finished. Exit code 1: done, but no method
-    gave a trusted result; 130: interrupted.
+    A method that needs a signal that the log lacks is left out. Writes comparison.csv, comparison.json,
+    configuration.yaml and report.html. If a method fails, its reason is reported and the others still run; Ctrl-C
+    keeps the methods that have finished. Exit code 1: done, but no method gave a trusted result; 130: interrupted.
     """
     from magyc_gtsam.report.compare_page import render_comparison
     from magyc_gtsam.report.compare_words import csv_text, judged_comparison, to_dict

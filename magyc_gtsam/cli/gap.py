@@ -76,14 +76,15 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Find where model and measurement disagree, name the missing effect, add it, and show the gap before and after.
+    """Name the effect that the model lacks, and add it.
 
-    Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html. The reading options,
-    except --start and --end, also apply to SIM and OTHER_LOG if they have the format of LOG.
-    Several logs of one instrument are compared with each other: an effect with the same value in all logs belongs to
-    the instrument, one with a different value in each log belongs to the place or the day.
-    Exit code 0: nothing was missing, or what was missing is now in the model. 1: the gap remains open, the log was
-    not sufficient to look for one, or the result does not hold, or cannot be tested, on OTHER_LOG.
+    Finds where model and measurement disagree, and shows the gap before and after. Writes gap.json,
+    calibration.yaml (with the effects found), configuration.yaml and report.html. The reading options, except
+    --start and --end, also apply to SIM and OTHER_LOG if they have the format of LOG. Several logs of one
+    instrument are compared with each other: an effect with the same value in all logs belongs to the instrument,
+    one with a different value in each log belongs to the place or the day. Exit code 0: nothing was missing, or
+    what was missing is now in the model. 1: the gap remains open, the log was not sufficient to look for one, or
+    the result does not hold, or cannot be tested, on OTHER_LOG.
     """
     if plan is not None:
         if any(value is not None for value in (reading.log, simulated, validate, calibration, candidates, output)):

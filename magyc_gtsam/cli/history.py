@@ -54,11 +54,11 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Follow one instrument over many logs: constant soft iron, hard iron that drifts and jumps.
+    """Follow one instrument over many logs.
 
-    Writes history.yaml (a summary of each log, for --add), report.html, and next.yaml with parameters to paste for the
-    next log. Exit code 1: done, but the logs are of several instruments: no parameters, and next.yaml is marked as
-    untrusted.
+    Its soft iron is constant, its hard iron drifts and jumps. Writes history.yaml (a summary of each log, for
+    --add), report.html, and next.yaml with parameters to paste for the next log. Exit code 1: done, but the logs
+    are of several instruments: no parameters, and next.yaml is marked as untrusted.
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor

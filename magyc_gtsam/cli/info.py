@@ -26,9 +26,10 @@ def run(
     ] = False,
     json: given.Json = False,
 ) -> int:
-    """Show what a log holds, how far the sensor turned, and whether the log can be read; nothing is calibrated.
+    """Show what a log holds, and whether it can be read.
 
-    Exit code 0 for every file that is a log, also for one that cannot be calibrated.
+    Also shows how far the sensor turned. Nothing is calibrated. Exit code 0 for every file that is a log, also for
+    one that cannot be calibrated.
     """
     if strip and not json:
         raise without_effect("--strip", "--json")

@@ -29,9 +29,10 @@ def run(
     most: Annotated[float, typer.Option(metavar="GB", min=0.001, help="Size limit of a dropped log.")] = 2.0,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> int:
-    """Calibrate in a browser: drop a log, choose an interval, view the report, copy the parameters.
+    """Calibrate in a browser.
 
-    Requires the extra `serve`; stop it with Ctrl-C. The results are those of the command line, stored in LOGS/results.
+    Drop a log, choose an interval, view the report, copy the parameters. Requires the extra `serve`; stop it with
+    Ctrl-C. The results are those of the command line, stored in LOGS/results.
     """
     from magyc_gtsam.serve.limits import Limits
     from magyc_gtsam.serve.run import serve

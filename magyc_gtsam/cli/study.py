@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from magyc_gtsam.cli.study_options import refuse_unused
 from magyc_gtsam.cli.terminal import show, show_table, stages
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ class Study(str, Enum):
 
 
 def run(
+    context: typer.Context,
     study: Annotated[
         Study,
         typer.Argument(
@@ -155,6 +157,7 @@ def run(
     ] = None,
 ) -> int:
     """Run a study and print its table."""
+    refuse_unused(context, study)
     noise = gyroscope_noise * 1e-3
     if study is Study.EFFICIENCY:
         _efficiency(runs, disturbed, noise, first_seed)
