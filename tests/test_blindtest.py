@@ -422,5 +422,8 @@ def test_the_number_of_processes_is_the_one_given(monkeypatch: pytest.MonkeyPatc
         raise MagycError("enough")
 
     monkeypatch.setattr("magyc_gtsam.blindtest.running.run", run)
-    assert cli.main(["study", "gap", "--motion", "wide", "--workers", "5", "-o", str(tmp_path)]) == 2
+    try:
+        assert cli.main(["study", "gap", "--motion", "wide", "--workers", "5", "-o", str(tmp_path)]) == 2
+    finally:
+        logging.disable(logging.NOTSET)
     assert given == [5]

@@ -60,6 +60,14 @@ def late() -> tuple[mg.Recording, Gap]:
 
 
 @pytest.mark.usefixtures("quiet_terminal")
+def test_a_log_does_not_validate_itself(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    late = str(logs / "late.mcap")
+    for interval in ([], ["--start", "20"]):
+        assert cli.main(["gap", late, *interval, "--validate", late, "-o", str(logs / "here")]) == 2
+        assert "late.mcap holds the samples of LOG, which prove nothing" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("quiet_terminal")
 def test_a_late_magnetometer_is_found_and_closed(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,6 +105,7 @@ def run(
         logs = find_logs([reading.log, *(more or [])])
         return gap_of_logs(reading, logs, names, output, open_page, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
+    from magyc_gtsam.recording.fingerprint import same_samples
     from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
 
     start = None if calibration is None else Calibration.load(calibration)
@@ -114,6 +115,10 @@ def run(
         # Read before the search, which takes long, so that errors appear at once.
         other = None if simulated is None else _beside("--simulated", simulated, reading, stage)
         held_out = None if validate is None else _beside("--validate", validate, reading, stage)
+        if held_out is not None and same_samples(held_out, recording):
+            raise MagycError(
+                f"--validate: {validate} holds the samples of LOG, which prove nothing; give another log"
+            )
         gap = find_gap(
             recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
         )
@@ -138,6 +143,8 @@ def run(
     elif not quiet:
         show(verdict.sentence, f"{reading.log.name}: {recording.duration:.1f} s", "")
         show_details(verdict, verbose)
+        if verdict.details:
+            show("")
         _show(gap, validation, verbose)
         show(
             *(f"left out: {fault}" for fault in gap.diagnostics["left_out"]),
@@ -248,7 +255,7 @@ def _show(gap: Gap, validation: Validation | None, every: bool) -> None:
 
     if gap.verdict == "not enough information":
         return
-    show("", words.probability_sentence(gap), "")
+    show(words.probability_sentence(gap), "")
     if every:
         show("Evidence of each hypothesis, added alone to the twelve-parameter model:")
         show_table(words.HYPOTHESES, words.hypothesis_rows(gap.hypotheses), words=(1,))

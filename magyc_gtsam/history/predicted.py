@@ -30,11 +30,12 @@ def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int
         covariance[OBSERVED, GYRO_BIAS] = covariance[GYRO_BIAS, OBSERVED].T
         conditional = alone[GYRO_BIAS, GYRO_BIAS] - gain @ alone[OBSERVED, GYRO_BIAS]
         covariance[GYRO_BIAS, GYRO_BIAS] = conditional + gain @ joint @ gain.T
-        message = f"with {_logs_used(factors, instrument) - 1} other logs of the instrument"
+        others = _logs_used(factors, instrument) - 1
+        message = f"with {counted(others, 'other log')} of the instrument" if others else "from this log alone"
     else:
         mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, 0.0)
         reason = factor.problem or "its readings contradict the other logs"
-        message = f"from the other logs of the instrument alone, this one is not used ({reason})"
+        message = f"from other logs of the instrument, this one is not used ({reason})"
     return _calibration(factors, instrument, mean, covariance, message, factor.field_strength)
 
 

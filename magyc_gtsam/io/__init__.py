@@ -158,7 +158,7 @@ def _reader(path: Path) -> ModuleType:
     """Return the module that reads a file."""
     if path.is_dir():
         inside = sorted(path.glob("*.mcap"))
-        hint = f"; read its {inside[0].name}" if inside else ""
+        hint = f"; read its {inside[0].name}" if inside else "; name a log in it"
         raise MagycError(f"{path}: expected a file, got a directory{hint}")
     try:
         if path.exists() and not path.is_file():  # readers seek, and read some parts twice

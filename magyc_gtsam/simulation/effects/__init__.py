@@ -29,6 +29,8 @@ def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen
     Raises:
         MagycError: an unknown name, a name given twice, or a factor that is not positive.
     """
+    if isinstance(effects, str):
+        raise MagycError(f"effects: a list of names is needed, got {effects!r}; give [{effects!r}]")
     result: list[Chosen] = []
     for item in effects:
         name, factor = (item, 1.0) if isinstance(item, str) else (item[0], float(item[1]))
