@@ -104,7 +104,8 @@ class Calibration:
         Args:
             magnetic_field: (N, 3) or (3,) T, or a whole recording, which holds the signals that `terms` need.
             signals: signals that `terms` need, unless a recording is given: time (N,) s, angular_rate and
-                acceleration (N, 3), channels {name: (N,) or (N, k)}. With `time`, a `timing` term is corrected too.
+                acceleration (N, 3), channels {name: (N,) or (N, k)}. With `time`, a `timing` term is corrected too, by
+                interpolation, which correlates the noise; `calibrated.without_lag` moves the stamps instead.
 
         Returns:
             (N, 3) or (3,) T, as the input; with a `misalignment` or exchanged axes (`axis-order`) in the gyroscope's

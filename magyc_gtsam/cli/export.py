@@ -17,7 +17,7 @@ def run(
     calibration_file: given.CalibrationFile,
     target: Annotated[
         Literal["px4", "ardupilot", "vectornav", "ros"],
-        typer.Argument(help="Format of the parameters.", show_default=False),
+        typer.Argument(metavar="TARGET", help="px4, ardupilot, vectornav or ros.", show_default=False),
     ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Default: standard output.")
