@@ -255,7 +255,7 @@ def test_json_lines_of_one_sensor_each_in_units_of_their_own() -> None:
     np.testing.assert_allclose(batch.gyroscope.value, [[np.pi, 0, 0]])
     assert source.waiting_for == ""
     source, _ = lines_of('{"time": 1, "magnetic_field": [20e-6, 0, 0]}\n')
-    assert source.waiting_for == "no angular_rate in 1 lines so far"
+    assert source.waiting_for == "no angular_rate in 1 line so far"
 
 
 def drained_of(source: JsonLines) -> None:

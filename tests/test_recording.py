@@ -324,7 +324,7 @@ def test_refused_with_what_where_limit_and_remedy(case):
             [(T, M), (T + 100, W)],
             ["clocks do not overlap", "magnetic_field 0.000 to 1.900 s", "angular_rate 100.000"],
         ),
-        ([(T, M), (T[:1], W[:1])], ["angular_rate: 1 samples, at least 2"]),
+        ([(T, M), (T[:1], W[:1])], ["angular_rate: 1 sample, at least 2"]),
         ([(put(T, 5, T[4]), M), (T, W)], ["magnetic_field: time: repeats at row 5"]),
         ([(T, M), (T[::-1], W)], ["angular_rate: time: goes back at row 1"]),
         ([(T, M), (T[:-1], W)], ["angular_rate: shape (20, 3), expected (19, 3)"]),

@@ -109,7 +109,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             return interrupted(behind)
         if debug:
             raise
-        return _say(explained(error), WRONG)
+        return _say(explained(error, words[0] if words[0] in COMMANDS else ""), WRONG)
 
 
 def _say(message: str, code: int) -> int:

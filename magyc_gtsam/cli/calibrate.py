@@ -118,6 +118,8 @@ def run(
             if wanted:
                 raise typer.BadParameter("not with --sensor accelerometer, which takes one LOG", param_hint=name)
         return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
+    if engine != "local" and not (every or many(reading.log, more)):
+        raise given.without_effect("--engine", "several logs or --all")
     if every or many(reading.log, more):
         from magyc_gtsam.io.many import find_logs
 

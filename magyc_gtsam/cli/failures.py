@@ -5,12 +5,17 @@ from __future__ import annotations
 from magyc_gtsam.cli.options import spelled
 
 
-def explained(error: Exception) -> str:
-    """Return the message of a failure, with arguments of the library named as options of the command line."""
+def explained(error: Exception, command: str = "") -> str:
+    """Return the message of a failure, with arguments of the library named as options of the command line.
+
+    Args:
+        error: the failure.
+        command: the command that failed, if its name is known.
+    """
     usage = getattr(error, "format_message", None)  # of usage errors, in every version of click
     if usage is not None:
         context = getattr(error, "ctx", None)
-        path = context.command_path if context is not None else "magyc-gtsam"
+        path = context.command_path if context is not None else f"magyc-gtsam {command}".rstrip()
         text = usage().replace("Value error, ", "").removesuffix(".")
         return f"{text}{' See' if text.endswith('?') else '; see'} {path} --help"
     from magyc_gtsam.factors.errors import MagycError

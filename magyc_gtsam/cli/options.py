@@ -12,7 +12,7 @@ from magyc_gtsam.cli.configuration import from_file
 
 # Arguments of `magyc_gtsam.read` as its messages name them.
 _ARGUMENT = re.compile(r"\b(magnetic_field|angular_rate|acceleration|attitude|stamps|start|end|prior)=(?=(\)?))")
-_TABLE_ARGUMENT = re.compile(r"\b(time|time_unit|rate|columns)=")
+_TABLE_ARGUMENT = re.compile(r"(?<!--read )\b(time|time_unit|rate|columns)=")
 
 Log = Annotated[
     Path,

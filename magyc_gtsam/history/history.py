@@ -14,6 +14,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
 from magyc_gtsam.history.counted_once import counted_once
 from magyc_gtsam.history.forward import JUMPED, Bank
@@ -61,7 +62,8 @@ class History:
         self._banks = tuple(banks)
         if not self.groups:
             listed = "; ".join(f"{factor.name}: {factor.problem}" for factor in factors[:3])
-            raise MagycError(f"history: none of the {len(factors)} logs has a trusted calibration ({listed})")
+            logs = counted(len(factors), "log")
+            raise MagycError(f"history: no trusted calibration in {logs}, and one is needed ({listed})")
 
     def __len__(self) -> int:
         return len(self.factors)

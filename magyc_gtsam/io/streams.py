@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.foreign_text import first_of
+from magyc_gtsam.foreign_text import counted, first_of
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
@@ -137,7 +137,7 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
     if role == "magnetic_field":
         stream = _measured(stream, in_tesla, notes)
     if len(stream.stamp) < 2:
-        raise MagycError(f"{stream.name}: {len(stream.stamp)} samples, at least 2 are needed")
+        raise MagycError(f"{stream.name}: {counted(len(stream.stamp), 'sample')}, at least 2 are needed")
     restarts = _restarts(stream.stamp)
     if len(restarts):
         row = int(restarts[0])

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import Any, TypeGuard
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.source import SENSORS, NewSamples, samples_of
 
@@ -51,7 +52,7 @@ class Lines:
     def waiting_for(self) -> str:
         """The sensors that no line contained so far, in words; "" for none."""
         absent = [sensor for sensor in SENSORS if sensor not in self._seen]
-        return f"no {' and no '.join(absent)} in {self.count} lines so far" if absent else ""
+        return f"no {' and no '.join(absent)} in {counted(self.count, 'line')} so far" if absent else ""
 
     def take(self, data: bytes, last: bool = False) -> NewSamples:
         """Return the samples of the lines that `data` completes.

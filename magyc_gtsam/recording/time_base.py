@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.recording.checks import (
     Array,
     check_ascending,
@@ -100,7 +101,7 @@ def _stream(
     """Return time (n,) s and value (n, width) of a stream, checked; any number of columns if `width` is None."""
     clean_time = frozen(f"time of {name}", seconds(f"time of {name}", time, origin), (None,))
     if len(clean_time) < 2:
-        raise MagycError(f"{name}: {len(clean_time)} samples, at least 2 are needed")
+        raise MagycError(f"{name}: {counted(len(clean_time), 'sample')}, at least 2 are needed")
     try:
         check_ascending(clean_time)
     except MagycError as error:
