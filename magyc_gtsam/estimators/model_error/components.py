@@ -8,7 +8,9 @@ yᵀy = rᵀ P r of `beside`, ν degrees of freedom, φ profiled out and V = dia
 For one group with the others held fixed, it is a function of one variance and the group's eigenvalues. A direction of a
 group that coincides with the model has eigenvalue zero: the data do not inform on it, and it takes the variance
 estimated from the group's other directions. An effect with the shape of the iron on this motion therefore widens the
-iron's covariance.
+iron's covariance. How large these directions may be is as uncertain as the variance, which a few directions hardly
+determine: of one seen scale of three its own square is the likeliest value. They therefore take the mean of the
+variance over its posterior, with equal prior probability for each octave up to the largest usual amplitude.
 """
 
 from __future__ import annotations
@@ -29,21 +31,33 @@ _LEAST_GAIN = 3.0  # gain in log-likelihood that a group must have beside the ot
 
 
 class Likeliest(NamedTuple):
-    """The likeliest variance v, and its gain in log-likelihood over v = 0."""
+    """The likeliest variance v, its gain in log-likelihood over v = 0, and the posterior mean of v up to a largest."""
 
     variance: float
     gain: float
+    mean: float
 
 
-def likeliest(normal: Array, score: Array, square: float, freedom: float, most: float) -> Likeliest:
-    """Return the likeliest variance up to `most` of a group with G (k, k) and s (k,); `square` is yᵀy."""
-    return likeliest_of_each([principal(normal, score)], square, freedom, [most])[0]
+def likeliest(
+    normal: Array, score: Array, square: float, freedom: float, most: float, usual: float | None = None
+) -> Likeliest:
+    """Return the likeliest variance up to `most` of a group with G (k, k) and s (k,); `square` is yᵀy.
+
+    `usual` bounds the mean of the variance, unless a larger one is the likeliest; it is `most` by default.
+    """
+    return likeliest_of_each(
+        [principal(normal, score)], square, freedom, [most], None if usual is None else [usual]
+    )[0]
 
 
 def likeliest_of_each(
-    groups: Sequence[Principal], square: float, freedom: float, most: Sequence[float]
+    groups: Sequence[Principal],
+    square: float,
+    freedom: float,
+    most: Sequence[float],
+    usual: Sequence[float] | None = None,
 ) -> list[Likeliest]:
-    """Return the likeliest variance of each group by itself, up to its entry of `most`."""
+    """Return the likeliest variance of each group by itself, up to its entry of `most`; `usual` as in `likeliest`."""
     if not groups:
         return []
     sizes = [len(group.value) for group in groups]
@@ -55,8 +69,12 @@ def likeliest_of_each(
     left = np.maximum(square - variance * explained, 1e-9 * square)
     gain = -0.5 * (np.add.reduceat(np.log(spread), first) + freedom * np.log(left / square))
     best = np.argmax(gain, axis=1)
-    found = zip(variance[range(len(best)), best].tolist(), gain[range(len(best)), best].tolist(), strict=True)
-    return [Likeliest(*each) if each[1] > 0 else Likeliest(0.0, 0.0) for each in found]
+    top, rise = variance[range(len(best)), best], gain[range(len(best)), best]
+    bound = np.maximum(top, most if usual is None else usual)
+    share = np.exp(gain - rise[:, None]) * (variance <= bound[:, None])
+    mean = (share * variance).sum(axis=1) / share.sum(axis=1)
+    found = zip(top.tolist(), rise.tolist(), mean.tolist(), strict=True)
+    return [Likeliest(*each) if each[1] > 0 else Likeliest(0.0, 0.0, 0.0) for each in found]
 
 
 class Components(NamedTuple):
@@ -65,9 +83,9 @@ class Components(NamedTuple):
     Attributes:
         amplitude: (f,) in the columns' units.
         level: φ.
-        second: (K, K) E[β βᵀ] of all columns.
+        second: (K, K) E[β βᵀ] of all columns, with the posterior means of v.
         mean: (K,) E[β].
-        variance: (K,) v.
+        variance: (K,) v, the likeliest.
     """
 
     amplitude: Array
@@ -78,7 +96,13 @@ class Components(NamedTuple):
 
 
 def fit_components(
-    normal: Array, score: Array, square: float, groups: Sequence[slice], most: Sequence[float], freedom: float
+    normal: Array,
+    score: Array,
+    square: float,
+    groups: Sequence[slice],
+    most: Sequence[float],
+    freedom: float,
+    usual: Sequence[float] | None = None,
 ) -> Components:
     """Fit the amplitudes of all groups by coordinate ascent, in the order given, and return the posterior of β.
 
@@ -86,7 +110,9 @@ def fit_components(
         normal, score, square: G (K, K), s (K,) and yᵀy of all columns.
         groups: the columns of each group; most: the largest amplitude of each, in its columns' unit.
         freedom: ν.
+        usual: the largest usual amplitude of each; `most` by default.
     """
+    usual, possible = most if usual is None else usual, np.zeros(len(score))
     variance, prior, level = np.zeros(len(groups)), np.zeros(len(score)), square / freedom
     for _ in range(_SWEEPS):
         before = variance.copy()
@@ -95,13 +121,19 @@ def fit_components(
             held = Held.of(normal, score, prior, square)
             known, pulled = held.explained(normal[:, own])
             found = likeliest(
-                normal[own, own] - known, score[own] - pulled, held.left, freedom, most[i] ** 2 / level
+                normal[own, own] - known,
+                score[own] - pulled,
+                held.left,
+                freedom,
+                most[i] ** 2 / level,
+                usual[i] ** 2 / level,
             )
-            variance[i] = found.variance if found.gain > _LEAST_GAIN else 0.0
+            variance[i], possible[own] = (found.variance, found.mean) if found.gain > _LEAST_GAIN else (0.0, 0.0)
             prior[own] = variance[i]
         second, level, mean = _posterior(normal, score, prior, square, freedom)
         if np.allclose(before, variance, rtol=_CONVERGED, atol=0.0):
             break
+    second = _posterior(normal, score, possible, square, freedom)[0]
     return Components(np.sqrt(variance * level), level, second, mean, prior)
 
 

@@ -56,7 +56,8 @@ class ColumnFamily:
             `most`.
         octaves: number of octaves of amplitude, from the largest down, with equal prior probability.
         from_rate: whether the columns depend on changes of the measured rate of turn.
-        mixed: whether some linear combinations of the columns consist of the gyroscope's noise and are to be removed.
+        mixed: whether some linear combinations of the columns consist of the gyroscope's noise, or vary faster than the
+            windows resolve, and are to be removed.
     """
 
     name: str
@@ -131,6 +132,11 @@ def _third(vector: Array) -> Array:
     )
 
 
+def _main_axis(vector: Array) -> Array:
+    """Return the axis (3,) along which vectors (3, n) are largest."""
+    return np.asarray(np.linalg.eigh(vector @ vector.T)[1][:, -1])
+
+
 def _skew(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a misalignment between the chips, the antisymmetric part of the soft iron."""
     turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
@@ -147,16 +153,15 @@ def _tilt(motion: WindowMotion) -> Products:
 
     The vertical is the axis of the world about which the instrument turns most; the 27 columns of all axes gain less.
     """
-    turned = np.einsum("jin,jn->in", motion.attitude, motion.rate)
-    vertical = np.linalg.eigh(turned @ turned.T)[1][:, -1]
+    vertical = _main_axis(np.einsum("jin,jn->in", motion.attitude, motion.rate))
     return motion.in_sensor(np.einsum("ijn,j->in", motion.attitude, vertical) * np.sqrt(3.0))
 
 
 def _speed(motion: WindowMotion) -> Products:
-    """Return columns of the size of the rate about each axis less its mean, as of the currents of thrusters."""
+    """Return columns of the size of the rate about each axis, as of the currents of thrusters, which are 0 at rest."""
     size = np.abs(motion.rate)
-    size -= size.mean(axis=1, keepdims=True)
-    return motion.in_sensor(size / max(float(np.sqrt(np.mean(size**2))), ALIKE))
+    varying = size - size.mean(axis=1, keepdims=True)
+    return motion.in_sensor(size / max(float(np.sqrt(np.mean(varying**2))), ALIKE))
 
 
 def _rate_times_field(motion: WindowMotion) -> Products:
@@ -208,8 +213,7 @@ def _halves(motion: WindowMotion) -> UnmodelledColumns:
 
 def _directions(motion: WindowMotion) -> UnmodelledColumns:
     """Return columns that differ between the two senses of turn about the axis of most rotation."""
-    axis = np.linalg.eigh(motion.rate @ motion.rate.T)[1][:, -1]
-    return _split(motion, np.sign(axis @ motion.rate))
+    return _split(motion, np.sign(_main_axis(motion.rate) @ motion.rate))
 
 
 def _speeds(motion: WindowMotion) -> UnmodelledColumns:
@@ -260,23 +264,13 @@ _SCALED = "the gyroscope's scale or axes are off by {}"
 _BIASED = "the gyroscope's bias changes with time by {}"
 _BENT = "in fast turns the gyroscope is off by {} of its rate"
 _TILTED = "the gyroscope's bias varies with the attitude by {}"
+_ALONG = WindowMotion.in_sensor
 
 FAMILIES = (
     _in_time("wander:slow", _VARIES, WindowMotion.in_world, 0.05, SLOW, first=True, of_place=True),
     _in_time("wander:fast", _VARIES, WindowMotion.in_world, 0.05, _FASTER, of_place=True),
-    _in_time(
-        "drift:slow",
-        _CHANGES,
-        WindowMotion.in_sensor,
-        0.05,
-        SLOW,
-        first=True,
-        of_iron=True,
-        at_end=_drift_at_end(SLOW),
-    ),
-    _in_time(
-        "drift:fast", _CHANGES, WindowMotion.in_sensor, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)
-    ),
+    _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, first=True, of_iron=True, at_end=_drift_at_end(SLOW)),
+    _in_time("drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)),
     ColumnFamily("attitude", _GOES, _attitude, 0.03, 9, first=True, of_place=True, prior=SELDOM),
     ColumnFamily("tilt", _LEANS, _tilt, 0.03, 3, first=True),
     ColumnFamily("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, 2, first=True),
@@ -286,7 +280,9 @@ FAMILIES = (
     ColumnFamily("speed", _TURNS, _speed, 0.02, 3, first=True),
     ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
-    ColumnFamily("gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, first=True, unit="share"),
+    ColumnFamily(
+        "gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, first=True, unit="share", mixed=True
+    ),
     _in_time("gyroscope:drift", _BIASED, WindowMotion.about_each_axis, 0.015, _SLOWEST, unit="rate", first=True),
     _in_time(
         "gyroscope:wander", _BIASED, WindowMotion.about_each_axis, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"

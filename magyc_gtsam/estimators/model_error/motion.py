@@ -40,6 +40,7 @@ class WindowMotion:
         step: T, quantisation step of the magnetometer if it is coarse; 0 otherwise.
         between: the motion while the field was not measured.
         window: indices of the columns that are windows; None if all are.
+        straight: whether integrals from one window to the next are by trapezoids instead of a spline.
     """
 
     time: Array
@@ -59,6 +60,7 @@ class WindowMotion:
     step: float = 0.0
     between: Between = NOTHING
     window: np.ndarray | None = None
+    straight: bool = False
 
     @classmethod
     def of(cls, fit: Fit, step: float = 0.0) -> WindowMotion:
@@ -140,6 +142,11 @@ class WindowMotion:
             change=self.change + change,
             reading_change=self.reading_change + self.soft_iron @ change,
         )
+
+    @cached_property
+    def by_trapezoids(self) -> WindowMotion:
+        """The motion with coarser integrals; where they differ the windows do not resolve the motion between them."""
+        return replace(self, straight=True)
 
     @cached_property
     def spread(self) -> float:
@@ -238,9 +245,11 @@ class WindowMotion:
 
     def integral(self, values: Array) -> Array:
         """Return the integrals (…, n − 1) of the spline through values (…, n) from each window to the next."""
-        slope = self.derivative(values)
         result: Array = values[..., 1:] + values[..., :-1]
         result *= 0.5 * self._step
+        if self.straight:
+            return result
+        slope = self.derivative(values)
         bent = slope[..., 1:] - slope[..., :-1]
         bent *= self._step**2 / 12
         result -= bent

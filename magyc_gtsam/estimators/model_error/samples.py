@@ -1,10 +1,12 @@
-"""Tests for errors within windows that window means hide: one-sided outliers, coarse steps and slow sampling.
+"""Tests for errors within windows that window means hide: one-sided outliers, coarse steps, slow sampling
+and shared stamps.
 
 All compare neighbouring samples, between which motion contributes little if it is sampled fast enough.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +35,10 @@ _MOVING = 0.9  # quantile of the blocks' ranges that is typical: an axis may be 
 _NARROW = 0.5  # share of the typical range below which a block is examined
 _NOISY = 1.5  # ratio of noise to the distance of the two values from which noise would give more values
 _LOST = 0.01  # share of the recording
+_TOGETHER = 0.1  # share of the mean interval below which two samples are stamped together
+_STANDING = (
+    3.0  # times the noise's variance by which the values of a burst change where they are one after the other
+)
 # Ratio of the mean square of second differences to the variance below which the lost share is less than `_TOO_SLOW`.
 _ROUGH = 16 * _TOO_SLOW**2
 
@@ -169,7 +175,7 @@ def too_slow(recording: Streams) -> str:
     """Return why the gyroscope's sampling rate is too low for the motion; "" if it is not.
 
     The trapezoidal rule retains x / tan x of an oscillation at f Hz, x = π f / (sampling rate), and none of one at the
-    Nyquist frequency. Only the part of the spectrum above the noise floor counts.
+    Nyquist frequency.
     """
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
@@ -179,18 +185,60 @@ def too_slow(recording: Streams) -> str:
     if float(np.vdot(second, second)) / second.shape[1] < _ROUGH * float(axes.var(axis=1).sum()):
         return ""
     step = float(np.median(np.diff(time)))
-    from scipy.signal import welch  # imported here because it takes longer than a calibration
 
-    frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(time) // 4), axis=0)
-    power, x = spectrum.sum(axis=1)[1:], np.pi * frequency[1:] * step
-    above = np.maximum(power - _FLOOR * np.median(power), 0.0)
-    lost = float(np.sqrt(above @ (1 - x / np.tan(x)) ** 2 / max(above.sum(), 1e-300)))
+    def kept(frequency: Array) -> Array:
+        x = np.pi * frequency * step
+        return np.asarray(x / np.tan(x))
+
+    lost = _lost(rate, step, kept)
     if lost < _TOO_SLOW:
         return ""
     return (
         f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({lost:.0%} of its turn rate is "
         f"lost between them, at most {_TOO_SLOW:.0%} is tolerated): record faster"
     )
+
+
+def in_bursts(recording: Streams) -> str:
+    """Return why stamps that the magnetometer's samples share are too few for the motion; "" if they are not.
+
+    Samples that are read out together have stamps close to each other, although the sensor took them one after the
+    other: their values differ by more than noise. Their mean retains sin(x) / x of an oscillation at f Hz, x = π f
+    times the time between the bursts.
+    """
+    time, field = _stretch(*recording.magnetometer)
+    if len(time) < _LEAST:
+        return ""
+    apart = np.diff(time)
+    within = apart < _TOGETHER * apart.mean()
+    if within.mean() < 0.5:
+        return ""
+    first = np.flatnonzero(~within) + 1
+    change = field[first[1:] - 1] - field[first[:-1]]
+    if float(np.square(change).mean()) < _STANDING * 2 * magnetometer_noise(recording) ** 2:
+        return ""
+    between = float(np.median(np.diff(time[first])))
+    gyroscope_time, rate = _stretch(*recording.gyroscope)
+    lost = _lost(rate, float(np.median(np.diff(gyroscope_time))), lambda frequency: np.sinc(frequency * between))
+    if lost < _TOO_SLOW:
+        return ""
+    return (
+        f"the magnetometer's samples are stamped together every {between:.2g} s, which is too seldom for this motion "
+        f"({lost:.0%} of it is lost, at most {_TOO_SLOW:.0%} is tolerated): record when each sample was taken"
+    )
+
+
+def _lost(rate: Array, step: float, kept: Callable[[Array], Array]) -> float:
+    """Return the lost share of the motion, of which `kept` remains at a frequency in Hz.
+
+    Only the part of the spectrum above the noise floor counts.
+    """
+    from scipy.signal import welch  # imported here because it takes longer than a calibration
+
+    frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(rate) // 4), axis=0)
+    power = spectrum.sum(axis=1)[1:]
+    above = np.maximum(power - _FLOOR * np.median(power), 0.0)
+    return float(np.sqrt(above @ (1 - kept(frequency[1:])) ** 2 / max(above.sum(), 1e-300)))
 
 
 def _median_of_five(values: Array) -> Array:

@@ -59,7 +59,8 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
         normal[own, own] = each.new.normal
     score = np.concatenate([each.new.score for each in found])
     most = [each.family.most for each in found]
-    fitted = fit_components(normal, score, beside.square, groups, most, beside.freedom)
+    usual = [each.family.likely(motion) for each in found]
+    fitted = fit_components(normal, score, beside.square, groups, most, beside.freedom, usual)
     components = []
     for each, own, move, amplitude in zip(found, groups, each_move, fitted.amplitude, strict=True):
         if amplitude > 0:

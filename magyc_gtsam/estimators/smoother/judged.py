@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from magyc_gtsam.estimators.gauge import IronScale
 from magyc_gtsam.estimators.model_error import ModelError
-from magyc_gtsam.estimators.model_error.samples import flickers, too_slow
+from magyc_gtsam.estimators.model_error.samples import flickers, in_bursts, too_slow
 from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
 from magyc_gtsam.estimators.smoother.gyroscope_scale import GyroscopeScale
 from magyc_gtsam.estimators.smoother.preparation import Streams
@@ -95,7 +95,12 @@ def judge(
     ):  # merely possible effects widen the sigmas without changing the verdict
         of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
         probable = assessor.of(scale.covariance(of_probable[:12, :12]))
-    reasons = (flickers(samples), too_slow(samples), reason(unexplained, probable, observability))
+    reasons = (
+        flickers(samples),
+        too_slow(samples),
+        in_bursts(samples),
+        reason(unexplained, probable, observability),
+    )
     return Judgement(
         soft_iron,
         unit,
