@@ -1,18 +1,18 @@
-"""Tests for errors within windows that window means hide: one-sided outliers, coarse steps, slow sampling
-and shared stamps.
+"""Tests for errors within windows that window means hide: one-sided outliers, coarse steps, slow sampling and
+shared stamps.
 
 All compare neighbouring samples, between which motion contributes little if it is sampled fast enough.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from magyc_gtsam.estimators.smoother.preparation import Streams, magnetometer_noise
+from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.sensor_faults.noise import white_noise
 
@@ -36,9 +36,8 @@ _NARROW = 0.5  # share of the typical range below which a block is examined
 _NOISY = 1.5  # ratio of noise to the distance of the two values from which noise would give more values
 _LOST = 0.01  # share of the recording
 _TOGETHER = 0.1  # share of the mean interval below which two samples are stamped together
-_STANDING = (
-    3.0  # times the noise's variance by which the values of a burst change where they are one after the other
-)
+_LEAST_BURSTS = 20
+_STANDING = 3.0  # times the noise's variance by which values change in a burst if they are one after the other
 # Ratio of the mean square of second differences to the variance below which the lost share is less than `_TOO_SLOW`.
 _ROUGH = 16 * _TOO_SLOW**2
 
@@ -175,7 +174,7 @@ def too_slow(recording: Streams) -> str:
     """Return why the gyroscope's sampling rate is too low for the motion; "" if it is not.
 
     The trapezoidal rule retains x / tan x of an oscillation at f Hz, x = π f / (sampling rate), and none of one at the
-    Nyquist frequency.
+    Nyquist frequency. Only the part of the spectrum above the noise floor counts.
     """
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
@@ -185,12 +184,12 @@ def too_slow(recording: Streams) -> str:
     if float(np.vdot(second, second)) / second.shape[1] < _ROUGH * float(axes.var(axis=1).sum()):
         return ""
     step = float(np.median(np.diff(time)))
+    from scipy.signal import welch  # imported here because it takes longer than a calibration
 
-    def kept(frequency: Array) -> Array:
-        x = np.pi * frequency * step
-        return np.asarray(x / np.tan(x))
-
-    lost = _lost(rate, step, kept)
+    frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(time) // 4), axis=0)
+    power, x = spectrum.sum(axis=1)[1:], np.pi * frequency[1:] * step
+    above = np.maximum(power - _FLOOR * np.median(power), 0.0)
+    lost = float(np.sqrt(above @ (1 - x / np.tan(x)) ** 2 / max(above.sum(), 1e-300)))
     if lost < _TOO_SLOW:
         return ""
     return (
@@ -203,42 +202,32 @@ def in_bursts(recording: Streams) -> str:
     """Return why stamps that the magnetometer's samples share are too few for the motion; "" if they are not.
 
     Samples that are read out together have stamps close to each other, although the sensor took them one after the
-    other: their values differ by more than noise. Their mean retains sin(x) / x of an oscillation at f Hz, x = π f
-    times the time between the bursts.
+    other: their values differ by more than noise. What the turn rate has beside its mean from burst to burst is lost.
     """
     time, field = _stretch(*recording.magnetometer)
     if len(time) < _LEAST:
         return ""
     apart = np.diff(time)
-    within = apart < _TOGETHER * apart.mean()
-    if within.mean() < 0.5:
-        return ""
+    within = apart < _TOGETHER * (time[-1] - time[0]) / len(apart)
     first = np.flatnonzero(~within) + 1
+    if len(within) > 2 * np.count_nonzero(within) or len(first) < _LEAST_BURSTS:
+        return ""
     change = field[first[1:] - 1] - field[first[:-1]]
     if float(np.square(change).mean()) < _STANDING * 2 * magnetometer_noise(recording) ** 2:
         return ""
     between = float(np.median(np.diff(time[first])))
-    gyroscope_time, rate = _stretch(*recording.gyroscope)
-    lost = _lost(rate, float(np.median(np.diff(gyroscope_time))), lambda frequency: np.sinc(frequency * between))
+    at, rate = _stretch(*recording.gyroscope)
+    angle = summed_rate(at, rate)
+    kept = np.stack([np.interp(at + 0.5 * between, at, a) - np.interp(at - 0.5 * between, at, a) for a in angle.T])
+    own = slice(*np.searchsorted(at, [at[0] + between, at[-1] - between]))
+    fast = (rate - kept.T / between)[own].var(axis=0).sum() - rate.shape[1] * white_noise(rate) ** 2
+    lost = float(np.sqrt(max(fast, 0.0) / rate.var(axis=0).sum()))
     if lost < _TOO_SLOW:
         return ""
     return (
         f"the magnetometer's samples are stamped together every {between:.2g} s, which is too seldom for this motion "
-        f"({lost:.0%} of it is lost, at most {_TOO_SLOW:.0%} is tolerated): record when each sample was taken"
+        f"({lost:.0%} of its turn rate is lost, at most {_TOO_SLOW:.0%} is tolerated): record each sample's own stamp"
     )
-
-
-def _lost(rate: Array, step: float, kept: Callable[[Array], Array]) -> float:
-    """Return the lost share of the motion, of which `kept` remains at a frequency in Hz.
-
-    Only the part of the spectrum above the noise floor counts.
-    """
-    from scipy.signal import welch  # imported here because it takes longer than a calibration
-
-    frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(rate) // 4), axis=0)
-    power = spectrum.sum(axis=1)[1:]
-    above = np.maximum(power - _FLOOR * np.median(power), 0.0)
-    return float(np.sqrt(above @ (1 - kept(frequency[1:])) ** 2 / max(above.sum(), 1e-300)))
 
 
 def _median_of_five(values: Array) -> Array:
