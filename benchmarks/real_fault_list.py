@@ -173,16 +173,21 @@ def storm(s, size):
     s.place = np.stack([swell(s.r, s.t, 150, size, band=0.8) for _ in range(3)], axis=1)
 
 
-def screw(s, size):
-    """The mount snaps to and fro by this angle in deg."""
-    axis = s.vector(size * DEG)
-    s.turned(legs(s.r, s.t, 5, 30, lambda n: 1.0 * s.r.choice([-1, 1], n), 0.2)[:, None] * axis)
-    mounts = [Rotation.from_rotvec(x * axis).as_matrix() for x in (-1, 0, 1)]
+def mounted(s, profile, turn):
+    """Turn the mount by a profile (n,) from −1 to 1 times a rotation vector; right are both ends and the middle."""
+    s.turned(profile[:, None] * turn)
+    mounts = [Rotation.from_rotvec(x * turn).as_matrix() for x in (-1, 0, 1)]
     s.right = [(mount @ s.soft, mount @ s.hard) for mount in mounts]
 
 
+def screw(s, size):
+    """The mount snaps to and fro by this angle in deg."""
+    mounted(s, legs(s.r, s.t, 5, 30, lambda n: 1.0 * s.r.choice([-1, 1], n), 0.2), s.vector(size * DEG))
+
+
 def loose(s, size):
-    s.turned(low_pass(np.tanh(s.angles[:, 2] / 0.05), 0.1)[:, None] * s.vector(size * DEG))
+    """The mount falls to either side with the roll."""
+    mounted(s, low_pass(np.tanh(s.angles[:, 2] / 0.05), 0.1), s.vector(size * DEG))
 
 
 def boom(s, size):
