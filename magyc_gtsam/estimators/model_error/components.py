@@ -72,7 +72,7 @@ def likeliest_of_each(
     top, rise = variance[range(len(best)), best], gain[range(len(best)), best]
     bound = np.maximum(top, most if usual is None else usual)
     share = np.exp(gain - rise[:, None]) * (variance <= bound[:, None])
-    mean = (share * variance).sum(axis=1) / share.sum(axis=1)
+    mean = np.maximum(top, (share * variance).sum(axis=1) / share.sum(axis=1))  # an amplitude that is seen stays
     found = zip(top.tolist(), rise.tolist(), mean.tolist(), strict=True)
     return [Likeliest(*each) if each[1] > 0 else Likeliest(0.0, 0.0, 0.0) for each in found]
 

@@ -158,10 +158,10 @@ def _tilt(motion: WindowMotion) -> Products:
 
 
 def _speed(motion: WindowMotion) -> Products:
-    """Return columns of the size of the rate about each axis, as of the currents of thrusters, which are 0 at rest."""
+    """Return columns of the size of the rate about each axis less its mean, as of the currents of thrusters."""
     size = np.abs(motion.rate)
-    varying = size - size.mean(axis=1, keepdims=True)
-    return motion.in_sensor(size / max(float(np.sqrt(np.mean(varying**2))), ALIKE))
+    size -= size.mean(axis=1, keepdims=True)
+    return motion.in_sensor(size / max(float(np.sqrt(np.mean(size**2))), ALIKE))
 
 
 def _rate_times_field(motion: WindowMotion) -> Products:
