@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.laplace import Terms
-from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import Weighed
@@ -200,7 +200,7 @@ def _contains(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
 
 
 def kept(tree: Tree, node: Node) -> list[int]:
-    """Return the terms of a set that exceed the deviation from its form of another one or of the field variation.
+    """Return the terms of a set that exceed the deviation from its form of a related one or of the field variation.
 
     If each of two terms may be the deviation of the other, the one with more evidence remains.
     """
@@ -208,7 +208,7 @@ def kept(tree: Tree, node: Node) -> list[int]:
     terms, powers = node.fit.model.terms, node.powers
     names = [term.name for term in terms]
     for index in sorted(range(len(names)), key=lambda one: -_evidence_of(tree, node, one)):
-        strong = [powers[index, i] for i in result]
+        strong = [powers[index, i] for i in result if related(names[index], names[i])]
         passed = any(_one_passing(terms[index], terms[i]) for i in result)
         if not passed and powers[index, index] > PRIOR.form * max([node.of_field, *strong]):
             result.append(index)
