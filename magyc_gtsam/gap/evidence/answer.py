@@ -10,6 +10,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
 from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, smoothed, without
@@ -32,7 +33,6 @@ from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation
 from magyc_gtsam.recording import Recording
 
-COLOUR = "coloured-noise"
 _ROUNDS = 3  # of removing effects on single samples
 _LINES = 4  # removed in each round, at most
 
@@ -63,7 +63,7 @@ def answer(
     fine: Fine | None = None,
 ) -> Answer:
     """Return the posterior of a recording from its fitted base model; `fine`: innovations of that model, if known."""
-    allowed = tuple(name for name in names if name in TERMS)
+    allowed = tuple(name for name in names if name in TERMS or name == COLOUR)
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
     given, problem, model = recording, base.twin.problem, base.model
     level = short_term

@@ -15,13 +15,14 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting, per_axis
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.model.field_variation import waves
+from magyc_gtsam.gap.model.field_variation import CORRELATION, waves
 from magyc_gtsam.gap.model.twin import Columns, Twin, together
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.generic import Family, families
 
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, setting, and its log prior
 Stack = tuple[Array, Array, list[Part]]
-COURSE = "time:sensor"
+COURSE, COLOUR = "time:sensor", "coloured-noise"
 _AT_ONCE = 100_000  # numbers processed at once, so that they stay in the processor's cache
 
 
@@ -51,10 +52,13 @@ class Candidates:
 
     @classmethod
     def of(cls, twin: Twin, names: Sequence[str], among: Iterable[Family] | None = None) -> Candidates:
-        """Prepare the effects `names`, and families (None: all that the recording allows)."""
+        """Prepare the effects `names`, with coloured noise, and families (None: all that the recording allows)."""
         every = families(twin) if among is None else among
-        courses = [_courses(twin)] if among is None else []
-        return cls.of_parts(twin, [*_of_names(twin, names), *_of_families(twin, every), *courses])
+        courses = [_courses(twin, COLOUR in names)] if among is None else []
+        return cls.of_parts(
+            twin,
+            [*_of_names(twin, names), *_of_families(twin, every), *courses],
+        )
 
     @classmethod
     def of_parts(cls, twin: Twin, stacks: Sequence[Stack]) -> Candidates:
@@ -117,7 +121,7 @@ def _batches(columns: Array, groups: Mapping[int, Sequence[Part]]) -> Iterator[B
 
 
 def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
-    for name in names:
+    for name in (name for name in names if name in TERMS):
         if not TERMS[name].missing(twin):
             settings = settings_of(twin, name)
             if settings:
@@ -186,12 +190,18 @@ def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:
         yield rows, score_bias, parts
 
 
-def _courses(twin: Twin) -> Stack:
-    """Return functions of time of the hard iron in the sensor's axes, with the spectra of the field variation."""
+def _courses(twin: Twin, coloured: bool) -> Stack:
+    """Return functions of time of the hard iron in the sensor's axes, with the spectra of the field variation.
+
+    The fast ones are coloured noise, if that is a candidate; the others are an unknown effect.
+    """
     profiles, shapes = waves(twin.time)
     rows = twin.whiten(Columns(per_axis(profiles), None)) * PRIOR.profile_field
     columns = np.concatenate([rows * np.repeat(shape, 3)[:, None] for shape in shapes])
-    prior = -float(np.log(len(shapes)))
     places = np.arange(len(columns)).reshape(len(shapes), -1)
-    parts: list[Part] = [(place, COURSE, {"first": float(k)}, prior) for k, place in enumerate(places)]
+    noise = [coloured and period <= RULES.longest_colour for period in CORRELATION]
+    parts: list[Part] = [
+        (place, COLOUR if fast else COURSE, {"first": float(k)}, -float(np.log(noise.count(fast))))
+        for k, (place, fast) in enumerate(zip(places, noise, strict=True))
+    ]
     return columns, np.zeros(len(columns)), parts

@@ -12,7 +12,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import COURSE, Batch, Candidates
+from magyc_gtsam.gap.evidence.candidates import COLOUR, COURSE, Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
 
@@ -23,7 +23,7 @@ def one_way(candidates: Candidates, beside: Beside, power: float) -> dict[str, W
     """Return {`ONE_WAY`: its evidence}; empty if there is no function of time among the candidates."""
     for batch in candidates.batches:
         for i, name in enumerate(batch.names):
-            if name == COURSE and not batch.settings[i]["first"]:
+            if name in (COLOUR, COURSE) and not batch.settings[i]["first"]:
                 return {ONE_WAY: _weighed(candidates, batch.rows[i], batch.gram[i], beside, power)}
     return {}
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.laplace import Terms
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.prior import PRIOR
@@ -54,6 +55,9 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
             yield SetWeight(key, node.log + log, seen, powers)
         for less, log, seen in _imitated(tree, node, powers):
             yield SetWeight(less, node.log + log, seen, powers)
+        if node.variation is not None and (colour := node.found.get(COLOUR)) is not None:
+            logs = np.where(colour.power > _deviation(node, powers, colour), colour.by_scale, -np.inf)
+            yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + logsumexp(logs), None, powers)
         for gain in node.moving:  # the only unknown effect that resembles a field of the place
             yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
         for each in node.found.values():  # sets that were not fitted, in linearised form
@@ -126,8 +130,9 @@ def _products(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[float, 
 
 
 def _generic(node: Node) -> list[Weighed]:
-    """Return the families, and the products of the set's effects."""
-    return [e for e in node.found.values() if e.name not in TERMS and product_of(e.name) in (None, *node.names)]
+    """Return the families, and the products of the set's effects; beside a varying field without coloured noise."""
+    named = {*TERMS, COLOUR} if node.variation is not None else TERMS
+    return [e for e in node.found.values() if e.name not in named and product_of(e.name) in (None, *node.names)]
 
 
 def _imitated(

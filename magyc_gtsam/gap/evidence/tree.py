@@ -47,8 +47,8 @@ class Tree:
             given: terms of a calibration, fitted in any case.
             before: sets of nearly the same readings, from which the tree is grown.
         """
-        self._problem, self._names = root.twin.problem, tuple(names)
-        self.candidates = Candidates.of(root.twin, self._names)
+        self._problem = root.twin.problem
+        self.candidates = Candidates.of(root.twin, names)
         terms = Terms.of(root)
         plain = terms.beside(None)
         self.square, self.freedom = plain.square, len(terms.residual) - len(terms.base)

@@ -29,10 +29,10 @@ from magyc_gtsam.gap.model.variants import Projector
 from magyc_gtsam.gap.rules import RULES
 
 _MODES = 60  # cosines of time
-_CORRELATION = (1.0, 4.0, 16.0)  # s
+CORRELATION = (1.0, 4.0, 16.0)  # s
 _AMPLITUDES = 1e-6 * 2.0 ** np.arange(-3.0, 4.0)  # T
 _SHARES = (0.0, 0.5, 1.0, 2.0)  # amplitude with attitude over that along the way; attitude alone is not the place
-COMBINATIONS = len(_CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
+COMBINATIONS = len(CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
 _TURN = 0.6  # rad, correlation length in attitude: the likeliest of 0.3, 0.6 and 1 on hand-held real logs
 _ATTITUDES = 80  # inducing attitudes of the Nyström approximation
 _LEAST = 0.05  # smallest eigenvalue of the kernel at the inducing attitudes that is kept
@@ -104,7 +104,7 @@ def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
     chosen = deviations(shape, share)
     log, noise = search.log(chosen)
     still, _ = search.log(np.zeros(len(raw)), fixed=True)
-    period = _CORRELATION[(shape - 1) % len(_CORRELATION)] if shape else 0.0
+    period = CORRELATION[(shape - 1) % len(CORRELATION)] if shape else 0.0
     scaled = raw[chosen > 0] * chosen[chosen > 0, None]
     value, vector = np.linalg.eigh(scaled @ scaled.T)
     kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
@@ -120,7 +120,7 @@ def waves(time: Array) -> tuple[Array, Array]:
     duration = float(time[-1] - time[0])
     order = np.arange(1, min(_MODES, len(time) // 4) + 1)
     cosines = np.sqrt(2) * np.cos(order[:, None] * np.pi * (time - time[0]) / duration)
-    power = 1 / (1 + (np.pi * order / duration * np.array(_CORRELATION)[:, None]) ** 2)
+    power = 1 / (1 + (np.pi * order / duration * np.array(CORRELATION)[:, None]) ** 2)
     return cosines, np.sqrt(power / power.sum(axis=1, keepdims=True))
 
 
