@@ -87,7 +87,7 @@ def test_a_log_that_lacks_what_is_needed(tmp_path: Path, capsys: pytest.CaptureF
     write_mcap(tmp_path / "driven.mcap", driven)
     for name, other in (
         ("still", replace(driven, angular_rate=None, attitude=None, acceleration=None)),
-        ("unlogged", mg.simulate("wide", 300, seed=32, effects=["motor-current"]).recording),
+        ("unlogged", mg.simulate("wide", 300, seed=32).recording),
     ):
         write_mcap(tmp_path / f"{name}.mcap", other)
     out = tmp_path / "out"
