@@ -87,3 +87,16 @@ def test_stamps_in_bursts_are_too_few_for_a_fast_motion(period: float, together:
     burst = np.minimum((i // together + 1) * together, len(i)) - 1
     log = recording(random, time, field, rate, time[::5][burst] + 1e-4 * (i - burst))
     assert bool(in_bursts(log)) == told
+
+
+def test_an_estimated_scale_follows_a_sway_that_the_windows_do_not_resolve() -> None:
+    """Means over windows left 4 sigmas rms."""
+    time, found = np.arange(0, DURATION, 0.02), []
+    for seed in range(100, 104):
+        random = np.random.default_rng(seed)
+        yaw = stairs(time, random, 10, 1.4)
+        lean = (stairs(time, random, 5, 0.1) + swaying(time, random, 2.0, 0.08) for _ in "pr")
+        field, rate = moved(time, yaw, *lean)
+        read = recording(random, time, field, rate * (1 + random.normal(0, 0.01, 3)))
+        found.append(sigmas(calibrate(read, gyroscope_scale=0.01)))
+    assert np.sqrt(np.mean(np.square(found))) < 2.0  # the largest of three axes: 1.3 is expected

@@ -18,11 +18,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.motion import WindowMotion
-from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
+from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
+from magyc_gtsam.estimators.smoother.search import shortened
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import cross
+from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.recording import Array, Recording
 
@@ -92,18 +96,18 @@ def scale_of(fit: Fit, factor: float) -> GyroscopeScale | None:
 
 
 def with_scale(
-    recording: Recording, fit: Fit, deviation: float, refit: Callable[[Recording, Fit], Fit]
+    recording: Recording, fit: Fit, options: SmootherOptions, refit: Callable[[Recording, Fit], Fit]
 ) -> ScaleError:
     """Estimate the scales.
 
     Args:
         recording: as read.
         fit: of that recording, at its minimum.
-        deviation: prior standard deviation of each axis' scale, relative.
+        options: of the fit, with the prior standard deviation of each axis' scale, relative.
         refit: fits a corrected recording, started from an earlier fit.
     """
-    value, corrected, given = np.zeros(3), recording, fit
-    fit = _beside_scale(fit, value, deviation)
+    value, corrected, given, deviation = np.zeros(3), recording, fit, options.gyroscope_scale
+    fit = _beside_scale(recording, fit, value, options)
     for _ in range(_ROUNDS):
         scale = scale_of(fit, fit.colour * fit.widening)
         assert scale is not None
@@ -114,7 +118,7 @@ def with_scale(
             break
         value = scale.value
         corrected = _corrected(recording, value, fit.state.parameters[9:12])
-        fit = _beside_scale(refit(corrected, fit), value, deviation)
+        fit = _beside_scale(corrected, refit(corrected, fit), value, options)
     return ScaleError(corrected, fit)
 
 
@@ -126,10 +130,28 @@ def _doubt(value: Array, deviation: float) -> str:
     )
 
 
-def _beside_scale(fit: Fit, value: Array, deviation: float) -> Fit:
+def _beside_scale(recording: Recording, fit: Fit, value: Array, options: SmootherOptions) -> Fit:
     """Return a fit with the scales, at `value`, as terms."""
-    columns = WindowMotion.of(fit).along_links.gyroscope_scales()
-    return replace(fit, terms=EstimatedTerms(columns, value, np.full(3, deviation**-2), _FAMILIES))
+    precision = np.full(3, options.gyroscope_scale**-2)
+    return replace(fit, terms=EstimatedTerms(_columns(recording, fit, options), value, precision, _FAMILIES))
+
+
+def _columns(recording: Recording, fit: Fit, options: SmootherOptions) -> UnmodelledColumns:
+    """Return the change of the residuals per unit of each scale, integrated from the gyroscope's samples.
+
+    A mean over a window does not resolve a sway of a second: on a hovering multirotor the hard iron was ten sigmas off.
+    """
+    windows = fit.chain.windows
+    samples = preintegrate(recording, options.window, options.turn)
+    if len(samples.starts) != len(windows):
+        samples = preintegrate(recording, shortened(options.window), options.turn)
+    rate = samples.angular_rate.T - windows.bias[:, None]
+    derivatives = RateDerivatives.of(samples, rate, windows.delay)
+    soft_iron, columns = unvech(fit.state.parameters[:6]), []
+    for axis in np.eye(3):  # one after the other, since a long log has millions of samples
+        error = (axis[:, None] * rate)[None]
+        columns.append(derivatives.columns(windows, soft_iron, fit.state.direction, error))
+    return UnmodelledColumns(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
 
 
 def _noise_shrunk(fit: Fit) -> Array:

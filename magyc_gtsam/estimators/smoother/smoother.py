@@ -79,7 +79,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     drift = find_drift(recording, fit, calibration.converged, refit)
     drift = None if drift is None else drift._replace(known=options.clock_drift)
     if options.gyroscope_scale and change is None and not (drift is not None and drift.harms):
-        corrected, fit, doubt = with_scale(recording, fit, options.gyroscope_scale, partial(_next_to, options))
+        corrected, fit, doubt = with_scale(recording, fit, options, partial(_next_to, options))
         doubts = [doubt, *doubts] if doubt else doubts
         calibration = calibration_of(corrected, fit, rival, options, doubts=doubts)
     report(1.0)
