@@ -51,7 +51,8 @@ class Rules:
     spike: float = 4.5  # sigmas, exceeded by one normal vector in six thousand
     spikes_alone: float = 0.46  # share of the spikes, adjacent ones counted as one, that have no neighbour
     too_slow: float = 0.7  # share that a shifted channel may still explain; with more the shift is too short
-    unsure_line: float = 2.0  # nats added to the level of a line, because the floor below it is estimated
+    # nats that a line loses, because the floor below it is estimated: in its level and in its odds
+    unsure_line: float = 2.0
     worth_moving: float = 0.5  # root mean square change of the iron, in sigmas, above which it is changed
 
     # Which rows and channels are used, before the estimation.
@@ -91,7 +92,9 @@ class Rules:
     lattice_off: float = 0.02  # steps by which distances between values may deviate from a multiple
     motion_held: float = 0.98  # share of the field's changes below the edge of the motion's frequencies
     motion_harmonics: float = 2.0  # times that edge, below which a line may be due to the motion
-    motion_line: float = 30.0  # times the level beside it, above which the gyroscope has a line
+    # times the level beside it, above which the gyroscope has a line: white noise has 6, hand motions 32 at most, a
+    # simulated swell 10,000
+    motion_line: float = 30.0
     pattern: float = (
         1e-3  # share of a constant's power that uneven times put at a frequency, above which it is excluded
     )

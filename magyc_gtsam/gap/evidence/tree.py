@@ -131,7 +131,7 @@ class Tree:
     def _options(self, node: Node, instead_of: str | None = None) -> Iterator[Weighed]:
         """Yield the candidates that may be added to a set, or those confused with an effect, the most probable first.
 
-        A set that was refused since the last one, with a value that is impossible, makes room for the next.
+        Sets without a possible fit are skipped, those that were found to have none since the last candidate, too.
         """
         for each in best_of(node.found, len(TERMS)):
             fits = instead_of is None or related(each.name, instead_of)
