@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from magyc_gtsam.estimators.smoother.fit import Fit, begin
+from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.search import fit_field_chain, refit_field_chain, shortened, with_skew
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
@@ -18,17 +16,17 @@ _NOISE_WINDOWS = 60  # fewest windows after a step for which noise levels are es
 
 
 def fit_batch(
-    recording: Recording, start: Array | None, options: Mapping[str, Any]
+    recording: Recording, start: Array | None, options: SmootherOptions
 ) -> tuple[Fit, Fit | None, Preintegration]:
     """Return the fit, a close rival and the windows, from `start` (13,) or from several starts.
 
     Raises:
         MagycError: the axes of the sensors disagree, or there are too few data.
     """
-    fit, rival = fit_field_chain(recording, start=start, **options)
-    samples = preintegrate(recording, options["window"], options["turn"])
+    fit, rival = fit_field_chain(recording, options, start=start)
+    samples = preintegrate(recording, options.window, options.turn)
     if len(samples.starts) != len(fit.chain.windows):  # windows are shorter in disturbed stretches
-        samples = preintegrate(recording, shortened(options["window"]), options["turn"])
+        samples = preintegrate(recording, shortened(options.window), options.turn)
     return fit, rival, samples
 
 
@@ -39,7 +37,7 @@ def fit_samples(
     belief, settings = online.belief, online.settings
     if belief.past is None:
         start = None if search or belief.estimate is None else belief.estimate.parameters
-        return fit_batch(recording, start, settings.fit | online.known)
+        return fit_batch(recording, start, online.fit_options)
     parameters, noise = online.last.parameters[:PARAMETERS], online.last.noise
     samples = online.buffer.windows(int(online.buffer.numbers[0]), belief.done, online.delay)
     fewer = len(samples.starts) < _NOISE_WINDOWS or settings.noise is not None

@@ -53,12 +53,10 @@ class OnlineCalibrator:
         module, name = _ENGINES[method].split(":")
         with requires_gtsam(f"method {method!r}"):
             engine = getattr(importlib.import_module(module), name)
-        allowed = engine.__init__.__kwdefaults__ or {}
-        unknown = sorted(options.keys() - allowed.keys())
+        unknown = sorted(options.keys() - engine.options)
         if unknown:
-            raise MagycError(
-                f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
-            )
+            there = ", ".join(sorted(engine.options))
+            raise MagycError(f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {there}")
         check_field_strength(options.get("field_strength"))
         self.method = method
         # The state file needs an earlier calibration as JSON types.

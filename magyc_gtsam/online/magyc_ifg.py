@@ -72,6 +72,8 @@ class IncrementalMagyc:
         self._cached: Calibration | None = None
         self._fresh = False
 
+    options = frozenset(__init__.__kwdefaults__ or {})
+
     def update(self, magnetometer: Samples, gyroscope: Samples) -> None:
         """See `Engine.update`."""
         self._fresh = False

@@ -58,7 +58,7 @@ def drift_of(online: SmootherState, recording: Recording, fit: Fit, trusted: boo
     """
 
     def fit_again(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
-        fit, rival = fit_field_chain(again, **online.settings.fit, **online.known, start=start, brief=True)
+        fit, rival = fit_field_chain(again, online.fit_options, start=start, brief=True)
         return fit, lambda: online.result(again, fit, rival).converged
 
     known = online.belief.drift

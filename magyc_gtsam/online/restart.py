@@ -72,7 +72,7 @@ def restart_after_change(online: SmootherState) -> bool:
     numbers, done = online.numbers(), online.belief.done
     recording = online.recording(done, int(numbers[len(numbers) // 2]))
     try:
-        fit, rival, _ = fit_batch(recording, None, online.settings.fit)
+        fit, rival, _ = fit_batch(recording, None, online.settings.without_prior)
         now = online.result(recording, fit, rival)
         earlier = _change_before(online, fit) if now.converged else None
     except MagycError:

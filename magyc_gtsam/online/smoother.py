@@ -15,7 +15,7 @@ the head joins the past, linearised within a small part of a sigma, and an updat
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -40,63 +40,12 @@ _MOST_WALKED = 400  # largest number of windows kept if parameters walk at rando
 
 
 class OnlineSmoother:
-    """The engine of `OnlineCalibrator(method="smoother")`.
+    """The engine of `OnlineCalibrator(method="smoother")`; `chosen` are `OnlineOptions`."""
 
-    Args:
-        field_strength, noise, robust, delay, window, turn: as in `calibrate_smoother`.
-        clock_drift: as in `calibrate_smoother`, counted from the first sample of the magnetometer.
-        hard_iron_drift, gyro_bias_drift: random walk of the hard iron, T per √h, and of the gyroscope bias, rad/s per
-            √h, while it runs.
-        detect_changes: whether to look for steps in hard iron.
-        angular_rate_is: as in `Recording`.
-        horizon: duration of the samples that are kept for refits, s.
-        prior: an earlier calibration of the same instrument with covariance (or its `to_dict`); it is used until a step
-            in hard iron is found.
-        hard_iron_walk: T, by which each axis of the hard iron may have changed since, as in `calibrate_smoother`.
-        field: (strength T, dip rad) at the place, as there; the dip is not used, because the vertical is unknown.
-        misalignment: as in `calibrate_smoother`; estimated at every refit, and when a result is read.
-    """
+    options = OnlineOptions.names()
 
-    def __init__(
-        self,
-        *,
-        field_strength: float | None = None,
-        noise: tuple[float, float] | None = None,
-        robust: bool | None = None,
-        delay: float | None = None,
-        window: float = 1.5,
-        turn: float | None = None,
-        clock_drift: float = 0.0,
-        hard_iron_drift: float = 0.0,
-        gyro_bias_drift: float = 0.0,
-        detect_changes: bool = True,
-        angular_rate_is: Literal["instant", "interval-mean"] = "instant",
-        horizon: float = 3600.0,
-        prior: Calibration | Mapping[str, Any] | None = None,
-        hard_iron_walk: float = 0.0,
-        misalignment: float | Literal["auto"] = "auto",
-        field: Any = None,
-    ) -> None:
-        self._online = SmootherState(
-            OnlineOptions(
-                field_strength=field_strength,
-                noise=noise,
-                robust=robust,
-                delay=delay,
-                window=window,
-                turn=turn,
-                clock_drift=clock_drift,
-                hard_iron_drift=hard_iron_drift,
-                gyro_bias_drift=gyro_bias_drift,
-                detect_changes=detect_changes,
-                angular_rate_is=angular_rate_is,
-                horizon=horizon,
-                prior=prior,
-                hard_iron_walk=hard_iron_walk,
-                misalignment=misalignment,
-                field=field,
-            )
-        )
+    def __init__(self, **chosen: Any) -> None:
+        self._online = SmootherState(OnlineOptions(**chosen))
         self._integrated = IntegratedWindows()
         self._read: Calibration | None = None
         self._fresh = False  # whether `_read` is the result of all samples

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -27,32 +26,36 @@ from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain
 from magyc_gtsam.recording import Array, Recording
 
-_OF_BATCH = ("noise", "robust", "delay", "window", "turn", "misalignment", "field")
+# Options of the batch method that need the whole recording, or channels that no stream has.
+_NOT_ONLINE = ("gyroscope_scale", "soft_iron_walk", "heading", "declination")
 
 
-@dataclass(frozen=True)
-class OnlineOptions:
-    """The options of `OnlineSmoother`, which documents them."""
+@dataclass(frozen=True, kw_only=True)
+class OnlineOptions(SmootherOptions):
+    """The options of the online smoother: those of `SmootherOptions` that a stream allows, and its own.
 
-    field_strength: float | None
-    noise: tuple[float, float] | None
-    robust: bool | None
-    delay: float | None
-    window: float
-    turn: float | None
-    clock_drift: float
-    hard_iron_drift: float
-    gyro_bias_drift: float
-    detect_changes: bool
-    angular_rate_is: Literal["instant", "interval-mean"]
-    horizon: float
-    prior: Calibration | Mapping[str, Any] | None
-    hard_iron_walk: float
-    misalignment: float | Literal["auto"]
-    field: Any
+    A known `clock_drift` counts from the first sample of the magnetometer, a `prior` is used until a step in hard iron
+    is found, the dip of `field` is not used, because the vertical is unknown, and a `misalignment` is estimated at
+    every refit and when a result is read.
+
+    Attributes:
+        hard_iron_drift, gyro_bias_drift: random walk of the hard iron, T per √h, and of the gyroscope bias, rad/s per
+            √h, while it runs.
+        detect_changes: whether to look for steps in hard iron.
+        angular_rate_is: as in `Recording`.
+        horizon: duration of the samples that are kept for refits, s.
+
+    Raises:
+        MagycError: an option is out of range.
+    """
+
+    hard_iron_drift: float = 0.0
+    gyro_bias_drift: float = 0.0
+    detect_changes: bool = True
+    angular_rate_is: Literal["instant", "interval-mean"] = "instant"
+    horizon: float = 3600.0
 
     def __post_init__(self) -> None:
-        _ = self.options
         if self.angular_rate_is not in ("instant", "interval-mean"):
             raise MagycError(
                 f"angular_rate_is: must be 'instant' or 'interval-mean', got {self.angular_rate_is!r}"
@@ -71,28 +74,17 @@ class OnlineOptions:
                 "hard_iron_walk: what may have changed since an earlier calibration; give that calibration too "
                 "(prior=), or hard_iron_drift for a hard iron that changes all the time"
             )
+        super().__post_init__()
+
+    @classmethod
+    def names(cls) -> frozenset[str]:
+        """Return the names of the options that may be given."""
+        return frozenset(cls.__dataclass_fields__.keys() - set(_NOT_ONLINE))
 
     @property
-    def options(self) -> SmootherOptions:
-        """The options as those of the batch method, checked."""
-        return SmootherOptions(
-            **self.fit, field_strength=self.field_strength, clock_drift=self.clock_drift, **self.known
-        )
-
-    @property
-    def fit(self) -> dict[str, Any]:
-        """The options that a fit of the batch method takes."""
-        return {name: getattr(self, name) for name in _OF_BATCH}
-
-    @property
-    def known(self) -> dict[str, Any]:
-        """The prior knowledge as options of the batch method."""
-        return {} if self.prior is None else {"prior": self.prior, "hard_iron_walk": self.hard_iron_walk}
-
-    @property
-    def reject(self) -> bool:
-        """Whether disturbed windows are downweighted."""
-        return self.robust is not False
+    def without_prior(self) -> OnlineOptions:
+        """The options without the earlier calibration."""
+        return replace(self, prior=None, hard_iron_walk=0.0)
 
     def free(self, parameters: Array) -> np.ndarray:
         """Return (p,) bool: the estimated parameters of θ (p,); a misalignment is held between two refits."""
@@ -129,19 +121,20 @@ class SmootherState:
         return float(self.settings.delay or 0.0) if estimate is None else float(estimate.parameters[DELAY])
 
     @property
-    def known(self) -> dict[str, Any]:
-        """The prior knowledge as options of the batch method.
+    def prior_applies(self) -> bool:
+        """Whether the earlier calibration applies: the hard iron has not changed, and the past does not contain it."""
+        return self.settings.prior is not None and self.belief.past is None and not self.belief.changes
 
-        It is empty once the hard iron has changed, or once it is contained in the past.
-        """
-        applies = self.belief.past is None and not self.belief.changes
-        return self.settings.known if applies else {}
+    @property
+    def fit_options(self) -> SmootherOptions:
+        """The options of a fit of all samples kept, as by the batch method."""
+        return self.settings if self.prior_applies else self.settings.without_prior
 
     def facts(self, size: int = PARAMETERS) -> tuple[Fact, ...]:
         """Return the prior knowledge as facts about θ (size,)."""
-        if not self.known:
+        if not self.prior_applies:
             return ()
-        known = known_of(self.settings.options)
+        known = known_of(self.settings)
         return known.facts if known.skew is None or size == PARAMETERS else (*known.facts, known.skew)
 
     @property
@@ -150,8 +143,8 @@ class SmootherState:
 
         The fact is omitted once it is contained in the past.
         """
-        known = known_of(self.settings.options)
-        return skew_prior(self.settings.options, known), known.skew if self.known else None
+        known = known_of(self.settings)
+        return skew_prior(self.settings, known), known.skew if self.prior_applies else None
 
     def with_misalignment(self, fit: Fit) -> Fit:
         """Return a continued fit with the misalignment from all windows."""
@@ -231,7 +224,7 @@ class SmootherState:
         if change is not None:
             unexplained = (model_error(fit, self.buffer) if unexplained is None else unexplained).beside(change)
         result = calibration_of(
-            recording, fit, rival, self.settings.options, colour, unexplained=unexplained, samples=self.buffer
+            recording, fit, rival, self.settings, colour, unexplained=unexplained, samples=self.buffer
         )
         windows = self.belief.given_up + int(np.searchsorted(self.numbers(), first)) + len(fit.chain.windows)
         return replace(result, diagnostics={**result.diagnostics, "windows": windows})

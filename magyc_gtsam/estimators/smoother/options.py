@@ -192,7 +192,7 @@ class SmootherOptions:
     @property
     def configuration(self) -> Mapping[str, Any]:
         """The chosen options as JSON types, sufficient to repeat the run."""
-        chosen = {each.name: getattr(self, each.name) for each in fields(self)}
+        chosen = {each.name: getattr(self, each.name) for each in fields(SmootherOptions)}
         result = {name: value for name, value in chosen.items() if value is not None or name in ("delay", "turn")}
         for name in ("clock_drift", "gyroscope_scale", "hard_iron_walk", "soft_iron_walk", "declination"):
             if not result[name]:
