@@ -24,11 +24,11 @@ import numpy as np
 from real_recordings import INTERVALS
 
 import magyc_gtsam as mg
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.study.bound import cramer_rao
 from magyc_gtsam.study.efficiency import BLOCKS, FREEDOMS, error, nees
 
 MOTIONS = ("wide", "moderate", "low", "tiny")
-UPPER = np.triu_indices(3)
 
 
 def feed(online, recording, step=1.0, after=None):
@@ -49,7 +49,7 @@ def distance(calibration, batch):
     """Largest difference in posterior sigmas of the batch result."""
 
     def vector(c):
-        return np.concatenate([c.soft_iron[UPPER], c.hard_iron, c.gyro_bias])
+        return np.concatenate([vech(c.soft_iron), c.hard_iron, c.gyro_bias])
 
     return float(np.abs((vector(calibration) - vector(batch)) / np.sqrt(np.diag(batch.covariance))).max())
 

@@ -145,7 +145,7 @@ def starts(seeds: range, step: int, methods: list[str]) -> None:
             if name == "without":
                 base = error
             else:
-                consistent = [run for run in drives if run.native.health.word == "consistent"]
+                consistent = [run for run in drives if run.native.health.status == "consistent"]
                 nees = np.mean([run.nees for run in consistent]) if consistent else np.nan
                 text += f"; NEES {nees:.2f} of {len(consistent)} consistent"
                 if base is not None:
@@ -191,12 +191,14 @@ def words(seeds: range) -> None:
             drive.run()
             since = 0.0 if kind.startswith("mounting") else begin
             name = "mounting" if kind.startswith("mounting") else kind.split()[0]
-            at = [k for k, health in enumerate(drive.words, 1) if name in health.by and health.word != "waiting"]
+            at = [k for k, health in enumerate(drive.words, 1) if name in health.by and health.status != "waiting"]
             named = [
-                k for k, health in enumerate(drive.words, 1) if name in health.by and health.word == "inconsistent"
+                k
+                for k, health in enumerate(drive.words, 1)
+                if name in health.by and health.status == "inconsistent"
             ]
             first.append((at[0] - since if at else np.nan, named[0] - since if named else np.nan))
-            last[drive.words[-1].by.split(" of ")[0] or str(drive.words[-1].word)] += 1
+            last[drive.words[-1].by.split(" of ")[0] or str(drive.words[-1].status)] += 1
         suspect, named = np.array(first).T
         print(
             f"{kind}: suspected in {np.isfinite(suspect).sum()} of {len(seeds)} (median {np.nanmedian(suspect):.0f} s, "
@@ -212,7 +214,7 @@ def clean(seeds: range, minutes: float) -> None:
     alarms = 0
     for count, seed in enumerate(seeds, 1):
         drive = Drive(seed, duration=60 * minutes + 0.05).run()
-        said = [health for health in drive.words if health.word in ("suspect", "inconsistent")]
+        said = [health for health in drive.words if health.status in ("suspect", "inconsistent")]
         alarms += bool(said)
         print(
             f"seed {seed}: {said[0] if said else drive.words[-1]}, NEES {drive.nees:.1f}; {alarms} of {count} drives "

@@ -14,7 +14,7 @@ from magyc_gtsam.factors.alignment import rotation_of
 from magyc_gtsam.factors.guard import factor_details
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array, choose, gyro_bias
+from magyc_gtsam.factors.variables import Array
 
 _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
 # Fraction of the tolerance that applies at the first check of a quadratic, when renewing it costs least. With 1
@@ -48,7 +48,7 @@ class _CheckedPoint:
         turned = rotation_of(point, details.attitude_key) - self.rotation
         soft_iron = point.atVector(details.soft_iron_key) - self.soft_iron
         angle = math.sqrt(0.5 * float(np.vdot(turned, turned)))
-        angle += details.lever * math.dist(_bias_of(point, details), self.bias)
+        angle += details.lever * math.dist(details.bias_at(point), self.bias)
         return angle, math.sqrt(float(np.vdot(soft_iron, soft_iron)))
 
 
@@ -221,19 +221,7 @@ def _checked_point(details: BlockDetails | None, point: gtsam.Values) -> _Checke
     if details is None or details.field is None or details.on_direction or details.more_keys:
         return None
     attitude, soft_iron = rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key)
-    return _CheckedPoint(attitude, soft_iron, _bias_of(point, details))
-
-
-def _bias_of(point: gtsam.Values, details: BlockDetails) -> Array:
-    """Return the gyroscope bias (3,) in rad/s at which a block is evaluated."""
-    key = details.gyro_bias_key
-    if key is None:
-        return details.block.bias
-    try:
-        bias: Array = point.atConstantBias(key).gyroscope()  # the usual case
-        return bias
-    except RuntimeError:
-        return choose("bias", gyro_bias, point, key)(point, key)[0]
+    return _CheckedPoint(attitude, soft_iron, details.bias_at(point))
 
 
 def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.variables import Array, Reader, Variable, choose, key_name
+from magyc_gtsam.factors.variables import Array, Variable, key_name, reader
 
 Residual = tuple[Array, Sequence[Array]]
 ErrorFunction = Callable[..., Residual]
@@ -71,25 +71,15 @@ def custom_factor(
             f"{name}: {len(variables)} different keys are needed, got {', '.join(map(key_name, keys)) or 'none'}"
         )
 
-    chosen: list[Reader | None] = [None] * len(keys)
-
-    def read(i: int, values: gtsam.Values) -> tuple[Array, Array | None]:
-        reader = chosen[i]
-        if reader is not None:
-            try:
-                return reader(values, keys[i])
-            except RuntimeError:  # the same factor in another graph, where the key holds another type
-                pass
-        chosen[i] = reader = choose(name, variables[i], values, keys[i])
-        return reader(values, keys[i])
+    readers = [reader(name, variable, key) for variable, key in zip(variables, keys, strict=True)]
 
     def evaluate(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         if getattr(_asked, "waits", False):
             _asked.waits, _asked.answer = False, name if details is None else details
             return np.zeros(rows)
         arguments, tangents = [], []
-        for i, key in enumerate(keys):
-            value, tangent = read(i, values)
+        for key, read in zip(keys, readers, strict=True):
+            value, tangent = read(values)
             _check(name, "variable", value, value.shape, key)
             arguments.append(value)
             tangents.append(tangent)

@@ -54,7 +54,7 @@ class HealthLimits:
     memory: float = 300.0
 
 
-class Word(str, Enum):
+class HealthStatus(str, Enum):
     """The degree to which a graph with magnetometer blocks can be trusted."""
 
     WAITING = "waiting"  # no block has entered: the heading is not settled
@@ -103,19 +103,19 @@ class Health:
     """The verdict on the magnetometer in the graph.
 
     Attributes:
-        word: `consistent`, `suspect`, `inconsistent`, or `waiting` while no block has entered.
+        status: `consistent`, `suspect`, `inconsistent`, or `waiting` while no block has entered.
         by: the contradiction, with its size; empty where there is none.
         since: s, time of the first block that contradicts; NaN where there is none.
         nis: NIS of the last blocks per degree of freedom.
     """
 
-    word: Word
+    status: HealthStatus
     by: str = ""
     since: float = float("nan")
     nis: float = float("nan")
 
     def __str__(self) -> str:
-        return f"{self.word}: {self.by} since {self.since:.1f} s" if self.by else str(self.word)
+        return f"{self.status}: {self.by} since {self.since:.1f} s" if self.by else str(self.status)
 
 
 def block_fit(
@@ -253,25 +253,25 @@ class Monitor:
     def health(self) -> Health:
         """The health at present."""
         if not self.fits:
-            return Health(Word.WAITING)
+            return Health(HealthStatus.WAITING)
         limits, window = self.limits, self._sums[0]
         nis, last = window.nis / max(window.freedom, 1), self.fits[-1].time
         if self._held:
             text, since = next(iter(self._held.values()))
-            return Health(Word.INCONSISTENT, text, since, nis)
+            return Health(HealthStatus.INCONSISTENT, text, since, nis)
         if self._began is not None:
             if self._named:
-                return Health(Word.INCONSISTENT, self._named, self._since, nis)
+                return Health(HealthStatus.INCONSISTENT, self._named, self._since, nis)
             size = float(np.linalg.norm(self._size)) * 1e6
-            return Health(Word.SUSPECT, f"disturbance or step of {size:.1f} µT", self._since, nis)
+            return Health(HealthStatus.SUSPECT, f"disturbance or step of {size:.1f} µT", self._since, nis)
         if self._named and last - self._ended < limits.memory:
-            return Health(Word.INCONSISTENT, self._named, self._since, nis)
+            return Health(HealthStatus.INCONSISTENT, self._named, self._since, nis)
         scatter = median(self.fits[-1 - i].scatter for i in range(min(len(self.fits), _SCATTERED)))
         if len(window) == limits.window and scatter > limits.scatter:
-            return Health(Word.INCONSISTENT, f"noise {scatter:.1f} times as stated", window.since, nis)
+            return Health(HealthStatus.INCONSISTENT, f"noise {scatter:.1f} times as stated", window.since, nis)
         for sums, tolerance in zip(self._sums, limits.tolerance, strict=True):
             if sums.unlikely(tolerance, limits.suspect):
                 mean = sums.nis / sums.freedom
                 text = f"attitude, mounting or delay: NIS {mean:.1f} per degree of freedom over {len(sums)} blocks"
-                return Health(Word.SUSPECT, text, sums.since, mean)
-        return Health(Word.CONSISTENT, nis=nis)
+                return Health(HealthStatus.SUSPECT, text, sums.since, mean)
+        return Health(HealthStatus.CONSISTENT, nis=nis)

@@ -20,7 +20,7 @@ from magyc_gtsam.factors.keyframe_field import KeyframeField
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.pose import MICROTESLA, given_keys, known_field
 from magyc_gtsam.factors.units import check_noise, check_rate_noise
-from magyc_gtsam.factors.variables import Array, attitude, direction, gyro_bias, mounting, scalar, vector
+from magyc_gtsam.factors.variables import Array, attitude, direction, gyro_bias, mounting, reader, scalar, vector
 
 _EARTH_FIELD = 50e-6  # T, used only to widen a block's sigma where the field is a variable
 _TURNS = skew(np.eye(3)).transpose(2, 0, 1)  # [p]× = Σ p_e [e]×; the matrices' columns are the first axis
@@ -70,6 +70,15 @@ class BlockDetails:
     misfit: float = float("nan")
     freed: Callable[[int], gtsam.CustomFactor] | None = None
     on_mounting: Array | None = None
+
+    @cached_property
+    def _read_bias(self) -> Callable[[gtsam.Values], tuple[Array, Array | None]]:
+        assert self.gyro_bias_key is not None
+        return reader("keyframe field", gyro_bias, self.gyro_bias_key)
+
+    def bias_at(self, point: gtsam.Values) -> Array:
+        """Return the gyroscope bias (3,) in rad/s at which the block is evaluated."""
+        return self.block.bias if self.gyro_bias_key is None else self._read_bias(point)[0]
 
     @cached_property
     def field_over_noise(self) -> float:

@@ -27,7 +27,7 @@ from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.entrance import Entrance, Optimize
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
-from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, Word
+from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
 from magyc_gtsam.factors.staleness import Staleness
@@ -97,7 +97,7 @@ class NativeFactors:
     def health(self) -> Health:
         """The agreement of the blocks with the rest of the graph, and the cause of any contradiction."""
         if self._examiner is None or self.waiting:
-            return Health(Word.WAITING if self.waiting else Word.CONSISTENT)
+            return Health(HealthStatus.WAITING if self.waiting else HealthStatus.CONSISTENT)
         return self._examiner.monitor.health
 
     @property

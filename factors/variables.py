@@ -123,6 +123,27 @@ def choose(name: str, variable: Variable, values: gtsam.Values, key: int) -> Rea
     raise MagycError(f"{name}: {key_name(key)} holds a {_stored(problem)}; accepted: {', '.join(variable)}")
 
 
+def reader(name: str, variable: Variable, key: int) -> Callable[[gtsam.Values], tuple[Array, Array | None]]:
+    """Return the reader of one key of a factor, which looks up the type that the key holds once.
+
+    Raises:
+        MagycError: when it is called, as `choose`.
+    """
+    chosen: Reader | None = None
+
+    def read(values: gtsam.Values) -> tuple[Array, Array | None]:
+        nonlocal chosen
+        if chosen is not None:
+            try:
+                return chosen(values, key)
+            except RuntimeError:  # the same factor in another graph, where the key holds another type
+                pass
+        chosen = choose(name, variable, values, key)
+        return chosen(values, key)
+
+    return read
+
+
 def key_name(key: int) -> str:
     """Return a key as GTSAM prints it."""
     return str(gtsam.DefaultKeyFormatter(key))

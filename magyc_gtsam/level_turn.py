@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import cross
+from magyc_gtsam.factors.chain.vech import UPPER
 from magyc_gtsam.recording import Array, Recording
 
 _MOST_ROWS = 1000  # largest number of rows used for the vertical and the dip

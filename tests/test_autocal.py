@@ -13,7 +13,7 @@ from magyc_gtsam.estimators.autocal.autocal import covariance, inliers
 from magyc_gtsam.estimators.autocal.fit import autocal
 from magyc_gtsam.estimators.autocal.graph import refine_graph
 from magyc_gtsam.factors import KERNELS
-from magyc_gtsam.factors.chain.field_chain import UPPER
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.sphere import SHAPES, sphere_error
 from magyc_gtsam.simulation import disturb
 from magyc_gtsam.study import autocal as study
@@ -136,7 +136,7 @@ def test_the_covariance_is_honest(name, outliers):
         recording, truth = synthetic(seed, outliers=outliers, one_sided=True)
         estimate = calibrate(recording, "autocal", kernel=name)
         deviation = np.concatenate(
-            [(estimate.soft_iron - truth.soft_iron)[UPPER], estimate.hard_iron - truth.hard_iron]
+            [vech(estimate.soft_iron - truth.soft_iron), estimate.hard_iron - truth.hard_iron]
         )
         assert estimate.covariance.shape == (9, 9)
         consistency.append(nees(deviation, estimate.covariance))
@@ -151,7 +151,7 @@ def test_disturbances_that_last_are_counted_once():
         estimate = calibrate(disturb(simulation.recording, 0.05, seed=seed), "autocal")
         deviation = np.concatenate(
             [
-                (estimate.soft_iron - simulation.truth.soft_iron)[UPPER],
+                vech(estimate.soft_iron - simulation.truth.soft_iron),
                 estimate.hard_iron - simulation.truth.hard_iron,
             ]
         )

@@ -9,7 +9,7 @@ from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.ellipsoid.ellipsoid import fit_ellipsoid, monomials, standardise
 from magyc_gtsam.estimators.ellipsoid.kok_schon import fit_kok_schon
 from magyc_gtsam.estimators.ellipsoid.l1_ellipsoid import fit_l1_ellipsoid, l1_sphere, l1_start
-from magyc_gtsam.factors.chain.field_chain import UPPER
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.study.autocal import model_error, synthetic
 from magyc_gtsam.study.efficiency import nees
 
@@ -129,7 +129,7 @@ def test_the_covariance_is_honest(name):
         recording, truth = synthetic(seed, samples=500)
         estimate = calibrate(recording, name)
         deviation = np.concatenate(
-            [(estimate.soft_iron - truth.soft_iron)[UPPER], estimate.hard_iron - truth.hard_iron]
+            [vech(estimate.soft_iron - truth.soft_iron), estimate.hard_iron - truth.hard_iron]
         )
         consistency.append(nees(deviation, estimate.covariance))
     assert np.mean(consistency) == pytest.approx(8, abs=2.6 * np.sqrt(2 * 8 / 24))

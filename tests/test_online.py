@@ -11,11 +11,10 @@ from magyc_gtsam import MagycError, OnlineCalibrator, Recording, calibrate, read
 from magyc_gtsam.estimators.smoother.fit import begin, descend
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal
 from magyc_gtsam.recording import Samples
-
-UPPER = np.triu_indices(3)
 
 
 def feed(online, recording, step=5.0, start=-np.inf, end=np.inf, after=None):
@@ -33,7 +32,7 @@ def feed(online, recording, step=5.0, start=-np.inf, end=np.inf, after=None):
 
 
 def vector(calibration):
-    return np.concatenate([calibration.soft_iron[UPPER], calibration.hard_iron, calibration.gyro_bias])
+    return np.concatenate([vech(calibration.soft_iron), calibration.hard_iron, calibration.gyro_bias])
 
 
 def distance(calibration, batch):

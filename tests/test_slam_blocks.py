@@ -441,7 +441,7 @@ def test_levenberg_marquardt_over_native_factors(survey, batch):
     native = NativeFactors(tolerance=0.01)
     graph, values = native.solve(*survey.python_graph(), examine=True)
     assert native.replaced > 0
-    assert native.health.word == "consistent"
+    assert native.health.status == "consistent"
     assert len(native.fits) == survey.count - 1
     assert distance(values, batch) < 0.02
     covariance = gtsam.Marginals(graph, values).jointMarginalCovariance([A(0), H(0)]).fullMatrix()
@@ -465,7 +465,7 @@ def test_isam2_with_native_factors(survey, batch, method, factorization):
         graph.push_back(factor)
         native.update(isam, graph, new)
     assert native.settle(isam) < 10
-    assert native.health.word == "consistent"
+    assert native.health.status == "consistent"
     assert native.replaced > 0
     assert distance(isam.calculateEstimate(), batch) < 0.05
     sigma = np.sqrt(np.diag(isam.marginalCovariance(H(0))))

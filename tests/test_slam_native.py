@@ -34,7 +34,7 @@ def test_a_wrong_start_ends_where_a_right_one_does(heading, seed):
     drive = Drive(seed, heading, fixes=False).run()
     assert drive.heading_error < 0.5
     assert drive.nees < 27.9  # χ² of 9, 99.9 %
-    assert drive.native.health.word == "consistent"
+    assert drive.native.health.status == "consistent"
 
 
 def test_blocks_follow_the_bias_that_they_share():
@@ -45,7 +45,7 @@ def test_blocks_follow_the_bias_that_they_share():
     assert max(np.linalg.norm(block.bias - now) for block in blocks) > 5e-3
     assert drive.heading_error < 0.5
     assert drive.nees < 27.9
-    assert drive.native.health.word == "consistent"
+    assert drive.native.health.status == "consistent"
 
 
 def test_python_factors_wait_for_the_heading_too():
@@ -58,7 +58,7 @@ def test_python_factors_wait_for_the_heading_too():
 def test_python_factors_are_not_judged_while_they_settle():
     """The turn of this graph was taken for a disturbance of 24 s, whose blocks left it."""
     drive = Drive(301, 150).run(quadratic=False)
-    assert {health.word for health in drive.words} == {"waiting", "consistent"}
+    assert {health.status for health in drive.words} == {"waiting", "consistent"}
     assert drive.native.withdrawn == 0
     assert drive.heading_error < 0.5
 
@@ -77,22 +77,22 @@ def test_a_disturbance_is_named_and_leaves_the_graph():
     time = drive.vehicle.recording.time
     drive.field[(time > DISTURBED) & (time <= DISTURBED + 15)] += [3e-6, -3e-6, 2.6e-6]
     drive.run()
-    assert drive.words[int(DISTURBED) - 2].word == "consistent"
-    assert drive.words[int(DISTURBED) + 5].word == "suspect"
+    assert drive.words[int(DISTURBED) - 2].status == "consistent"
+    assert drive.words[int(DISTURBED) + 5].status == "suspect"
     health = drive.native.health
-    assert health.word == "inconsistent"
+    assert health.status == "inconsistent"
     assert health.by.startswith("disturbance of")
     assert health.since == pytest.approx(DISTURBED, abs=3)
     assert drive.native.withdrawn >= 6
     assert drive.heading_error < 2 * clean.run().heading_error + 0.2
-    assert {health.word for health in clean.words} == {"waiting", "consistent"}
+    assert {health.status for health in clean.words} == {"waiting", "consistent"}
 
 
 def test_a_step_of_the_hard_iron_is_named_with_its_size():
     drive = Drive(22, duration=110.05)
     drive.field[drive.vehicle.recording.time > DISTURBED] += [3e-6, -3e-6, 2.6e-6]
     health = drive.run().native.health
-    assert health.word == "inconsistent"
+    assert health.status == "inconsistent"
     assert health.by.startswith("step of the hard iron")
     assert 3.0 < float(health.by.split()[-2]) < 6.5
 
@@ -108,7 +108,7 @@ def turned_mounting(drive, angles):
 def test_a_mounting_that_is_a_variable_is_found_and_named():
     drive = turned_mounting(Drive(23, duration=130.05, mounting=np.radians(0.5)), np.radians([2.0, -1.5, 1.7]))
     health = drive.run().native.health
-    assert health.word == "inconsistent"
+    assert health.status == "inconsistent"
     assert health.by.startswith("mounting")
     assert "from its prior" in health.by
     assert drive.native.mounting_error is None  # the graph's own variable says it
@@ -120,18 +120,18 @@ def test_a_mounting_that_is_held_is_named_with_its_angles(seed):
     angles = np.radians(3.0) * axis / np.linalg.norm(axis)
     drive = turned_mounting(Drive(seed, duration=160.05), angles).run()
     health = drive.native.health
-    assert health.word == "inconsistent"
+    assert health.status == "inconsistent"
     assert health.by.startswith("mounting")
     assert health.since < 150
     assert np.degrees(np.linalg.norm(drive.native.mounting_error - angles)) < 0.7
     assert drive.native.withdrawn == 0  # not taken for a disturbance
-    assert {each.word for each in drive.words if "mounting" not in each.by} <= {"waiting", "consistent"}
+    assert {each.status for each in drive.words if "mounting" not in each.by} <= {"waiting", "consistent"}
 
 
 def test_a_right_mounting_that_is_held_is_not_named():
     drives = [Drive(seed, duration=80.05).run() for seed in (60, 61, 62)]
     assert all(drive.native.mounting_error is None for drive in drives)
-    assert {health.word for drive in drives for health in drive.words} <= {"waiting", "consistent"}
+    assert {health.status for drive in drives for health in drive.words} <= {"waiting", "consistent"}
 
 
 @pytest.mark.parametrize("kernel", ["cauchy", "geman-mcclure"])

@@ -89,7 +89,7 @@ def test_the_words_of_a_disturbance_a_step_and_noise():
     assert monitor.over == [(20.0, 24.0)]
     for k in range(200):
         monitor.add(fit(26.0 + 2 * k))
-    assert monitor.health.word == "consistent"
+    assert monitor.health.status == "consistent"
     for k in range(20):
         monitor.add(fit(500.0 + 2 * k, 5e-6, 100.0))
     assert str(monitor.health) == "inconsistent: step of the hard iron of 5.0 µT since 500.0 s"

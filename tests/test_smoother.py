@@ -13,11 +13,11 @@ from magyc_gtsam.estimators.smoother import search
 from magyc_gtsam.estimators.smoother.fit import MAX_ITERATIONS, PATIENCE
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.estimators.smoother.search import _adapted, fit_field_chain
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.simulation import AMPLITUDES, HARD_IRON, disturb
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.signals import record
 
-UPPER = np.triu_indices(3)
 MICROTESLA = 1e-6
 RUNS = 24
 CHI2_11 = 31.3  # 99.9 % point of χ² of 11 degrees of freedom
@@ -27,7 +27,7 @@ def error(calibration, truth):
     """vech(soft iron), hard iron and bias, estimate less truth (12,)."""
     return np.concatenate(
         [
-            (calibration.soft_iron - truth.soft_iron)[UPPER],
+            vech(calibration.soft_iron - truth.soft_iron),
             calibration.hard_iron - truth.hard_iron,
             calibration.gyro_bias - truth.gyro_bias,
         ]

@@ -13,12 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import unvech
-
-_UPPER = np.triu_indices(3)
-_MIRRORED = np.where(
-    _UPPER[0] == _UPPER[1], 1.0, 2.0
-)  # number of entries of a symmetric matrix that each entry of vech represents
+from magyc_gtsam.factors.chain.vech import MULTIPLICITY, unvech, vech
 
 
 class Fact(Protocol):
@@ -97,13 +92,11 @@ class IronFact:
         return np.concatenate([scaled - self.shape, parameters[6:9] - self.hard_iron]), derivative
 
 
-def field_strength(vech: Array) -> tuple[float, Array]:
-    """Return ∛det S of vech(S) (6,), and its derivative (6,): d∛det S = ∛det S / 3 · tr(S⁻¹ dS)."""
-    matrix = unvech(vech)
-    strength = float(np.cbrt(np.linalg.det(matrix)))
-    inverse: Array = np.linalg.inv(matrix).astype(np.float64)
-    slope: Array = strength / 3 * inverse[_UPPER] * _MIRRORED
-    return strength, slope
+def field_strength(soft_iron: Array) -> tuple[float, Array]:
+    """Return ∛|det S| of vech(S) (6,), and its derivative (6,): d∛det S = ∛det S / 3 · tr(S⁻¹ dS)."""
+    matrix = unvech(soft_iron)
+    strength = float(np.cbrt(abs(np.linalg.det(matrix))))
+    return strength, strength / 3 * vech(np.linalg.inv(matrix)) * MULTIPLICITY
 
 
 def quadratic(facts: Sequence[Fact], parameters: Array) -> tuple[float, Array, Array]:

@@ -36,7 +36,6 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 
 PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
-UPPER = np.triu_indices(3)
 DELAY = 12
 SKEW = slice(13, 16)  # ε, in a θ of `WITH_SKEW` entries
 WITH_SKEW = 16

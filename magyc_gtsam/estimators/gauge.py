@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.field_chain import UPPER
+from magyc_gtsam.factors.chain.facts import field_strength as strength_of
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
-_MIRRORED = np.where(UPPER[0] == UPPER[1], 1.0, 2.0)  # matrix entries represented by each element of vech
 _SCALE = 2.5  # factor by which an instrument's scale may be wrong
 
 
@@ -61,11 +61,10 @@ class IronScale(NamedTuple):
     @classmethod
     def of(cls, scaled: Array, field_strength: float | None = None, sigma: float = 0.0) -> IronScale:
         """Factorise B; the arguments are those of `fix_scale`."""
-        strength = float(np.cbrt(abs(np.linalg.det(scaled)))) if field_strength is None else field_strength
-        slopes = np.eye(6) / strength
-        if field_strength is None:  # the strength moves with B: d∛det B = ∛det B / 3 · tr(B⁻¹ dB)
-            slope = strength / 3 * np.linalg.inv(scaled)[UPPER] * _MIRRORED
-            slopes -= np.outer(scaled[UPPER], slope) / strength**2
+        if field_strength is not None:
+            return cls(scaled / field_strength, field_strength, np.eye(6) / field_strength, sigma)
+        strength, slope = strength_of(vech(scaled))  # it moves with B
+        slopes = np.eye(6) / strength - np.outer(vech(scaled), slope) / strength**2
         return cls(scaled / strength, strength, slopes, sigma)
 
     def of_parameters(self, rows: Array) -> Array:
@@ -78,7 +77,7 @@ class IronScale(NamedTuple):
         jacobian[:6, :6] = self.slopes
         result: Array = jacobian @ covariance @ jacobian.T
         if self.sigma:  # A = B/F
-            shape = self.soft_iron[UPPER]
+            shape = vech(self.soft_iron)
             result[:6, :6] += np.outer(shape, shape) * (self.sigma / self.strength) ** 2
         return result
 

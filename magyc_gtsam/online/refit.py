@@ -19,8 +19,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.all_samples import fit_samples
 from magyc_gtsam.online.belief import Estimate
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
-from magyc_gtsam.online.restart import restart_after_change, restart_at_convergence
-from magyc_gtsam.online.soft_iron_change import SOFT_IRON, soft_iron_changed
+from magyc_gtsam.online.restart import SOFT_IRON, restart_after_change, restart_at_convergence, soft_iron_changed
 from magyc_gtsam.online.state import SmootherState, continued, observable
 from magyc_gtsam.recording import Array, Recording, Samples
 

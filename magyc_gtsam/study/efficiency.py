@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
-from magyc_gtsam.factors.chain.field_chain import UPPER
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import disturb, simulate
 from magyc_gtsam.study.bound import cramer_rao
@@ -47,9 +47,7 @@ def error(estimate: Calibration, truth: Calibration) -> Array:
         if estimate.gyro_bias is None or truth.gyro_bias is None
         else estimate.gyro_bias - truth.gyro_bias
     )
-    return np.concatenate(
-        [(estimate.soft_iron - truth.soft_iron)[UPPER], estimate.hard_iron - truth.hard_iron, bias]
-    )
+    return np.concatenate([vech(estimate.soft_iron - truth.soft_iron), estimate.hard_iron - truth.hard_iron, bias])
 
 
 def nees(deviation: Array, covariance: Array) -> float:

@@ -25,12 +25,12 @@ from magyc_gtsam.closest_point import ClosestPoints, closest_points
 from magyc_gtsam.estimators.ellipsoid.ellipsoid import Standardised, standardise
 from magyc_gtsam.estimators.ellipsoid.l1_ellipsoid import l1_sphere, l1_start
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import UNKNOWNS
+from magyc_gtsam.factors.chain.vech import UPPER
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.kernels import KERNELS, Kernel, kernel
 from magyc_gtsam.recording import Array
 
 WIDTH = float(np.sqrt(3))  # τ in units of the noise per axis: "up to 1 unit error per sensor axis" (section III-A)
-UPPER = np.triu_indices(3)
 ITERATIONS = 300  # as in section III-A
 _MAD = 1.4826  # ratio of σ to the median absolute deviation of a normal distribution
 _TRIMMED = 0.95456  # standard deviation of a unit normal distribution within ±2.5

@@ -13,6 +13,7 @@ import numpy as np
 from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.autocal import fit as autocal_fit
 from magyc_gtsam.estimators.ellipsoid.ellipsoid import standardise
+from magyc_gtsam.factors.chain.vech import UPPER
 from magyc_gtsam.factors.robust import robust_noise
 from magyc_gtsam.factors.sphere import sphere_factor
 from magyc_gtsam.recording import Array
@@ -37,7 +38,7 @@ def autocal_graph(
         tuning: τ/σ.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    values.insert(_K, matrix[autocal_fit.UPPER])
+    values.insert(_K, matrix[UPPER])
     values.insert(_B, offset)
     noise = robust_noise(kernel, sigma, 3, tuning)
     directions = closest_points(matrix, offset, value).direction
@@ -63,7 +64,7 @@ def refine_graph(
     data = standardise(samples)
     noise = sigma / data.unit
     tuning = autocal_fit.relative_width(kernel, width / sigma)
-    parameters = np.concatenate([matrix[autocal_fit.UPPER] / data.unit, (offset - data.centre) / data.unit])
+    parameters = np.concatenate([matrix[UPPER] / data.unit, (offset - data.centre) / data.unit])
     iterations = 0
     for _ in range(_ROUNDS):
         graph, values = autocal_graph(

@@ -19,12 +19,12 @@ from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     normalised_field,
     to_calibration,
 )
+from magyc_gtsam.factors.chain.vech import MULTIPLICITY, UPPER, vech
 from magyc_gtsam.recording import Array, Recording
 
 _WIDTH = (0.3, 0.15)  # standard deviations of the initial swarm about h = 0 and T = I
 _BOUND = 5.0  # bound of an element, because (45) is zero for an infinite ellipsoid (a plane)
 _REPORTS = 50  # calls of progress
-_UPPER = np.triu_indices(3)
 
 
 def calibrate_ali_pso(
@@ -132,7 +132,7 @@ def _moments(y: Array) -> Array:
 
     ‖T⁻¹(y − h)‖² − 1 is linear in the elements of y yᵀ, y and 1.
     """
-    monomials = np.hstack([y[:, _UPPER[0]] * y[:, _UPPER[1]], y, np.ones((len(y), 1))])
+    monomials = np.hstack([y[:, UPPER[0]] * y[:, UPPER[1]], y, np.ones((len(y), 1))])
     return np.asarray(np.linalg.qr(monomials, mode="r"))
 
 
@@ -142,7 +142,6 @@ def _fitness(x: Array, root: Array) -> Array:
     inverse = np.linalg.inv(T)
     Q = np.swapaxes(inverse, 1, 2) @ inverse
     Qh = np.einsum("sij,sj->si", Q, h)
-    twice = np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
-    quadric = np.hstack([Q[:, _UPPER[0], _UPPER[1]] * twice, -2 * Qh, (np.einsum("si,si->s", h, Qh) - 1)[:, None]])
+    quadric = np.hstack([vech(Q) * MULTIPLICITY, -2 * Qh, (np.einsum("si,si->s", h, Qh) - 1)[:, None]])
     fitness: Array = np.linalg.norm(quadric @ root.T, axis=1)
     return fitness

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, UPPER
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, cross
-from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.chain.vech import unvech, vech
 
 _LAG = 3.0  # s between the windows compared by the linear start
 _PAIRS = 200  # pairs of windows that suffice for a start
@@ -18,7 +18,7 @@ _PASSES = 3
 def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) -> Array:
     """Return θ (13,) of soft iron times field strength (3, 3) T, hard iron T, bias rad/s and delay s."""
     result = np.empty(PARAMETERS)
-    result[:6], result[6:9], result[9:12], result[12] = soft_iron[UPPER], hard_iron, bias, delay
+    result[:6], result[6:9], result[9:12], result[12] = vech(soft_iron), hard_iron, bias, delay
     return result
 
 
