@@ -22,7 +22,7 @@ from real_fault_list import FAULTS
 from real_vehicles import DEG, MOTIONS, TWO_PI, scene
 
 import magyc_gtsam as mg
-from magyc_gtsam.level_turn import Askew, LevelTurn
+from magyc_gtsam.level_turn import LevelTurn, MisalignmentError
 
 SIGMAS, IRON, HEADING = 4.0, 1e-6, 1.5  # from which a result is wrong; T, deg
 LOOKS = 16
@@ -37,7 +37,7 @@ def judged(calibration, own, end):
     u = np.stack([n * np.cos(a), -n * np.sin(a), d + 0 * a], axis=1)
     angle = np.arctan2(u[:, 1], u[:, 0])
     turn = LevelTurn(np.degrees(angle), u, np.eye(3)[0], np.eye(3)[1], np.degrees(np.arctan2(d, n)), "z")
-    of_heading = turn.systematic(covariance, calibration.soft_iron, Askew.of(calibration.diagnostics))
+    of_heading = turn.systematic(covariance, calibration.soft_iron, MisalignmentError.of(calibration.diagnostics))
     sigma, found = np.sqrt(np.diag(covariance)[6:9]), []
     for soft, hard in own.truths(end):
         rows = np.vstack([u @ soft.T + hard, hard])

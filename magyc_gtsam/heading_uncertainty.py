@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.level_turn import Askew, LevelTurn, calibrated, level_turn
+from magyc_gtsam.level_turn import LevelTurn, MisalignmentError, calibrated, level_turn
 from magyc_gtsam.recording import Array, Recording
 
 UNKNOWN_FROM = 90.0  # deg; a heading with a larger standard deviation is unknown
@@ -32,10 +32,10 @@ class HeadingUncertainty:
         """Compute the uncertainty that terminal, page and files show."""
         turn = turn_of(recording, calibration)
         soft_iron, covariance = calibration.soft_iron, calibration.covariance
-        askew = Askew.of(calibration.diagnostics)
+        misalignment = MisalignmentError.of(calibration.diagnostics)
         noise = calibration.noise.get("magnetic_field")
         return cls(
-            None if covariance is None else _known(turn.systematic(covariance, soft_iron, askew)),
+            None if covariance is None else _known(turn.systematic(covariance, soft_iron, misalignment)),
             None if not noise else _known(turn.per_sample(noise, soft_iron)),
         )
 

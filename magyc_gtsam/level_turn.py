@@ -22,7 +22,7 @@ _HEADING = np.linspace(0.0, 360.0, _STEPS + 1)
 _HEADING.flags.writeable = False
 
 
-class Askew(NamedTuple):
+class MisalignmentError(NamedTuple):
     """The uncertainty of the rotation between magnetometer and gyroscope, which adds to that of heading.
 
     Attributes:
@@ -34,7 +34,7 @@ class Askew(NamedTuple):
     cross: Array
 
     @classmethod
-    def of(cls, diagnostics: Mapping[str, Any]) -> Askew | None:
+    def of(cls, diagnostics: Mapping[str, Any]) -> MisalignmentError | None:
         """Return the uncertainty in a calibration's diagnostics; None if the method did not estimate it."""
         stored = diagnostics.get("skew")
         return None if stored is None else cls(np.array(stored["covariance"]), np.array(stored["cross"]))
@@ -65,7 +65,9 @@ class LevelTurn:
         angle = np.arctan2(raw @ self.left, raw @ self.ahead) - np.radians(self.heading)
         return cast(Array, np.degrees(np.angle(np.exp(1j * angle))))
 
-    def systematic(self, covariance: Array, soft_iron: Array, askew: Askew | None = None) -> Array:
+    def systematic(
+        self, covariance: Array, soft_iron: Array, misalignment: MisalignmentError | None = None
+    ) -> Array:
         """Return the standard deviation (n,) deg of heading due to the calibration's covariance, shared by all samples.
 
         A calibration error (dA, dh) changes the field u by −A⁻¹ (dA u + dh), a rotation error dε by u × dε. The
@@ -74,9 +76,9 @@ class LevelTurn:
         Args:
             covariance: (9, 9) or (12, 12) of vech(soft_iron), hard_iron and gyro_bias.
             soft_iron: (3, 3) A.
-            askew: uncertainty of the rotation between magnetometer and gyroscope.
+            misalignment: uncertainty of the rotation between magnetometer and gyroscope.
         """
-        return self.spread(covariance, self.slopes(soft_iron), askew)
+        return self.spread(covariance, self.slopes(soft_iron), misalignment)
 
     def slopes(self, soft_iron: Array) -> Array:
         """Return the derivative (n, 9) of heading, rad, with respect to vech(soft_iron) and hard_iron."""
@@ -84,12 +86,14 @@ class LevelTurn:
         mirrored = (rows != columns) * (gain[:, columns] * self.field[:, rows])
         return np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
 
-    def spread(self, covariance: Array, slopes: Array, askew: Askew | None = None) -> Array:
+    def spread(self, covariance: Array, slopes: Array, misalignment: MisalignmentError | None = None) -> Array:
         """Return the result of `systematic`, from given `slopes` of the soft iron."""
         variance = np.einsum("na,na->n", slopes @ covariance[:9, :9], slopes)
-        if askew is not None:
+        if misalignment is not None:
             turned = self.turned
-            variance += np.einsum("na,na->n", turned @ askew.covariance - 2 * slopes @ askew.cross, turned)
+            variance += np.einsum(
+                "na,na->n", turned @ misalignment.covariance - 2 * slopes @ misalignment.cross, turned
+            )
         return cast(Array, np.degrees(np.sqrt(np.maximum(variance, 0.0))))
 
     def per_sample(self, noise: float, soft_iron: Array) -> Array:

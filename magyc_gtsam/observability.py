@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.level_turn import Askew, LevelTurn, level_turn
+from magyc_gtsam.level_turn import LevelTurn, MisalignmentError, level_turn
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
@@ -84,7 +84,7 @@ class Assessor:
     field_strength: float
     recording: Recording
     hard_iron: Array | None = None
-    askew: Askew | None = None
+    misalignment: MisalignmentError | None = None
 
     def of(self, covariance: Array) -> Observability:
         """Return the result of `assess` for a covariance."""
@@ -114,7 +114,7 @@ class Assessor:
         return Observability(
             observable=all(w.sigma <= w.limit for w in weak),
             weak=tuple(weak),
-            heading_sigma=float(self._turn.spread(covariance, self._slopes, self.askew).max()),
+            heading_sigma=float(self._turn.spread(covariance, self._slopes, self.misalignment).max()),
         )
 
     @cached_property
@@ -135,7 +135,7 @@ def assess(
     field_strength: float,
     recording: Recording,
     hard_iron: Array | None = None,
-    askew: Askew | None = None,
+    misalignment: MisalignmentError | None = None,
 ) -> Observability:
     """Name the weak directions of a calibration and the motion that would determine them.
 
@@ -145,13 +145,13 @@ def assess(
         field_strength: T.
         recording: the calibrated data, for the vertical and the dip.
         hard_iron: (3,) T, subtracted from the field before its dip is measured; None for 0.
-        askew: uncertainty of the rotation between magnetometer and gyroscope, which adds to that of heading.
+        misalignment: uncertainty of the rotation between magnetometer and gyroscope, which adds to that of heading.
 
     Returns:
         All directions whose standard deviation exceeds half its limit, worst first; not observable if one exceeds its
         limit.
     """
-    return Assessor(soft_iron, field_strength, recording, hard_iron, askew).of(covariance)
+    return Assessor(soft_iron, field_strength, recording, hard_iron, misalignment).of(covariance)
 
 
 def _stretched(vech: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from magyc_gtsam import MagycError
-from magyc_gtsam.blindtest.from_outside import Outside, changed
+from magyc_gtsam.blindtest.from_outside import EffectsFromFile, changed
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.heading import heading_errors
 from magyc_gtsam.blindtest.scenarios import FACTORS, fingerprint
@@ -23,7 +23,7 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "foreign_effects.py"
 
 
 def test_functions_of_a_file_are_put_into_recordings(tmp_path: Path) -> None:
-    outside = Outside.read(EXAMPLE)
+    outside = EffectsFromFile.read(EXAMPLE)
     assert set(outside.effects) == {
         f"foreign_effects.{name}"
         for name in ("gain_with_temperature", "late_in_fast_turns", "gripper", "bias_with_shaking")

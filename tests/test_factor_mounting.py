@@ -23,8 +23,8 @@ STEP = {SOFT: 1e-2, HARD: 1e-2, BIAS: 1e-5, MOUNTED: 1e-4, LATE: 1e-4, VALUE: 1e
 
 
 @pytest.fixture(scope="module")
-def askew():
-    """Chips 1.2° askew on wide motion: simulation, samples in windows, ε."""
+def misaligned():
+    """Chips 1.2° misaligned on wide motion: simulation, samples in windows, ε."""
     simulation = skewed("wide", 1.2, 4)
     recording = simulation.recording.between(0, 200)
     axis = np.random.default_rng(4).normal(size=3)
@@ -67,9 +67,9 @@ def check_gradient(factor, values):
 
 @pytest.mark.parametrize("delay_key", [LATE, None])
 @pytest.mark.parametrize("turn", [0.0, 0.8])
-def test_the_chains_gradient_is_the_derivative_of_its_error(askew, delay_key, turn):
+def test_the_chains_gradient_is_the_derivative_of_its_error(misaligned, delay_key, turn):
     """Near the truth, and with a mounting so far off that its curvature counts."""
-    simulation, _, samples, angle = askew
+    simulation, _, samples, angle = misaligned
     factor = field_chain_factor(
         SOFT, HARD, BIAS, samples, NOISE, mounting_key=MOUNTED, delay_key=delay_key, delay=2e-3
     )
@@ -79,8 +79,8 @@ def test_the_chains_gradient_is_the_derivative_of_its_error(askew, delay_key, tu
 
 
 @pytest.mark.parametrize("side", ["magnetometer", "gyroscope"])
-def test_the_gradient_of_a_chain_with_an_effect(askew, side):
-    simulation, _, samples, angle = askew
+def test_the_gradient_of_a_chain_with_an_effect(misaligned, side):
+    simulation, _, samples, angle = misaligned
     rows = len(samples.starts) if side == "magnetometer" else len(samples.gyroscope_time)
     unit = 1e-6 if side == "magnetometer" else 1e-3
     columns = unit * np.sin(np.arange(3 * rows).reshape(1, 3, rows) / 50.0)
@@ -93,9 +93,9 @@ def test_the_gradient_of_a_chain_with_an_effect(askew, side):
     check_gradient(factor, values)
 
 
-def test_a_graph_with_the_mounting_is_the_smoother_with_the_skew(askew):
+def test_a_graph_with_the_mounting_is_the_smoother_with_the_skew(misaligned):
     """From no skew; the prior of 1° is that of `misalignment`."""
-    simulation, recording, samples, angle = askew
+    simulation, recording, samples, angle = misaligned
     degree = np.radians(1.0)
     options = {"noise": NOISE, "robust": False, "delay": 0.0, "turn": samples.turn, "window": samples.length}
     expected = calibrate(recording, misalignment=degree, **options)
@@ -119,9 +119,9 @@ def test_a_graph_with_the_mounting_is_the_smoother_with_the_skew(askew):
     assert native.error(values) == pytest.approx(factor.error(values), rel=1e-6)
 
 
-def test_samples_take_the_same_variable(askew):
+def test_samples_take_the_same_variable(misaligned):
     """One key may be shared: the mounting of the chain's term fits a sample on an attitude."""
-    simulation, recording, _, angle = askew
+    simulation, recording, _, angle = misaligned
     calibration = calibrate(recording)
     (term,) = calibration.terms
     field = np.array([20e-6, 0.0, 40e-6])

@@ -20,7 +20,7 @@ from magyc_gtsam.gap.model.refit import Refit, refit, widened, with_term
 from magyc_gtsam.gap.model.twin import Columns
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.judged import fit_of, judged
-from magyc_gtsam.level_turn import Askew
+from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
 from magyc_gtsam.report.verdict import said
@@ -89,7 +89,7 @@ def test_what_nobody_modelled_is_in_the_sigma(seed: int) -> None:
 
 
 def test_the_model_error_of_a_named_misalignment_is_in_its_sigma_and_in_the_heading() -> None:
-    """A current that follows pitch is mostly taken for askew chips: heading 2.5 degrees off at a sigma of 0.7."""
+    """A current that follows pitch is mostly taken for misaligned chips: heading 2.5 degrees off at a sigma of 0.7."""
     fault = FAULTS["current-with-pitch"]
     log = record("wide", 8803, fault, fault.weak, "current-with-pitch")
     gap = mg.find_gap(log.recording("current"))
@@ -100,7 +100,7 @@ def test_the_model_error_of_a_named_misalignment_is_in_its_sigma_and_in_the_head
     np.testing.assert_allclose(effect.sigma, 1e3 * named.sigma)
     assert effect.sentence in gap.sentence
     assert f"± {effect.sigma.max():.0f}" in effect.sentence
-    stored = Askew.of(calibration.diagnostics)
+    stored = MisalignmentError.of(calibration.diagnostics)
     assert stored is not None
     np.testing.assert_allclose(stored.covariance, named.covariance, rtol=1e-9)
     assert score(calibration).heading_sigmas < 3
@@ -111,16 +111,16 @@ def test_the_model_error_of_a_named_misalignment_is_in_its_sigma_and_in_the_head
 
 
 def test_the_sigma_of_a_misalignment_that_calibrate_takes_out_has_the_model_error() -> None:
-    """By the sensors alone it was 0.09 degrees where the axes were taken to be 1.5 degrees askew by a current."""
+    """By the sensors alone it was 0.09 degrees where the axes were taken to be 1.5 degrees misaligned by a current."""
     fault = FAULTS["current-with-pitch"]
     log = record("wide", 8803, fault, fault.weak, "current-with-pitch")
     calibration = mg.calibrate(log.recording("current"))
     (term,) = calibration.terms
-    stored = Askew.of(calibration.diagnostics)
+    stored = MisalignmentError.of(calibration.diagnostics)
     assert stored is not None
     np.testing.assert_allclose(term.covariance, stored.covariance)
     assert np.degrees(term.sigma).max() > 0.5
-    assert "askew" in calibration.message
+    assert "misaligned" in calibration.message
     assert "± 0.09°" not in calibration.message
 
 

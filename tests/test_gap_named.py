@@ -24,10 +24,10 @@ from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.naming.named import _each_once, _parts, named
 from magyc_gtsam.gap.outcome.outcome import gap_of
-from magyc_gtsam.gap.scores.look import Look, look
+from magyc_gtsam.gap.scores.look import ScoreTests, look
 from magyc_gtsam.report.gap_words import key_numbers
 
-Looked = tuple[Look, Answer, Refit, SensorNoise]
+Looked = tuple[ScoreTests, Answer, Refit, SensorNoise]
 
 
 @pytest.fixture(scope="module")

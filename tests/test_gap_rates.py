@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.blindtest.generator import Hidden, generate, noise_free
+from magyc_gtsam.blindtest.generator import HiddenRecording, generate, noise_free
 from magyc_gtsam.blindtest.heading import heading_error
 from magyc_gtsam.blindtest.scenarios import INVISIBLE, Scenario, scenarios, seed_of
 from magyc_gtsam.blindtest.scoring import IN_SET, PARTIAL, RIGHT, SILENT, UNKNOWN, WRONG, judged
@@ -35,7 +35,7 @@ class Case:
     """A recording with what is hidden in it, and what is said of it."""
 
     scenario: Scenario
-    hidden: Hidden
+    hidden: HiddenRecording
     gap: Gap
 
     @property

@@ -42,8 +42,8 @@ def test_a_misalignment_beside_coarse_steps_is_found_and_of_its_size() -> None:
     candidates = ["misalignment", "quantisation", "saturation", "cubic", "gyro-scale", "timing"]
     both = mg.find_gap(simulation.recording, candidates=candidates)
     assert sorted(effect.name for effect in both.effects) == ["misalignment", "quantisation"]
-    askew = next(effect for effect in both.effects if effect.name == "misalignment")
-    assert np.linalg.norm(askew.value) == pytest.approx(1e3 * np.deg2rad(2.6), rel=0.1)
+    misaligned = next(effect for effect in both.effects if effect.name == "misalignment")
+    assert np.linalg.norm(misaligned.value) == pytest.approx(1e3 * np.deg2rad(2.6), rel=0.1)
     assert min(both.probabilities["misalignment"], both.probabilities["quantisation"]) > 0.9
     assert both.probabilities.get("saturation", 0.0) < 0.3
 

@@ -34,9 +34,9 @@ def readings(seed):
         turned = Rotation.from_matrix(polar(expected, "left")[0]).as_rotvec()
         found = next((-term.value for term in calibration.terms if term.name == "misalignment"), np.zeros(3))
         spread = np.trace(calibration.diagnostics["skew"]["covariance"])
-        askew = np.linalg.norm(turned - found) / np.sqrt(spread)
+        misaligned = np.linalg.norm(turned - found) / np.sqrt(spread)
         named = [each["name"] for each in calibration.diagnostics["model_error"]["components"]]
-        result.append((now, off, askew, "recent change" in named))
+        result.append((now, off, misaligned, "recent change" in named))
     return result
 
 

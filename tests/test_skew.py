@@ -17,7 +17,7 @@ DEGREE = np.pi / 180
 
 
 def skewed(motion, degrees, seed, **options):
-    """A simulation of chips that are askew in a random direction: recording, truth (soft iron symmetric), ε."""
+    """A simulation of chips that are misaligned in a random direction: recording, truth (soft iron symmetric), ε."""
     axis = np.random.default_rng(1000 + seed).normal(size=3)
     angle = degrees * DEGREE * axis / np.linalg.norm(axis)
     turn = exponential_matrices(angle[:, None])[:, :, 0]
@@ -132,7 +132,7 @@ def test_where_the_motion_shows_no_skew_the_sigmas_hold_for_one_nevertheless(mot
 def test_what_is_taken_out_is_said_with_its_probability():
     sure, unsure = (calibrate(skewed(motion, 0.7, 1)[0].recording) for motion in ("wide", "moderate"))
     assert "the two chips are 0.7" in sure.message
-    assert "the two chips may be askew (probability " in unsure.message
+    assert "the two chips may be misaligned (probability " in unsure.message
 
 
 def test_a_number_is_the_deviation_of_the_prior():

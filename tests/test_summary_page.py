@@ -13,7 +13,7 @@ from test_report import HOSTILE, drawn_figures
 import magyc_gtsam as mg
 from magyc_gtsam.history import History, LogFactor
 from magyc_gtsam.report.charts import Series
-from magyc_gtsam.report.summary_page import Link, Section, _hard_iron, by_log, history_page, summary_page
+from magyc_gtsam.report.summary_page import PageLink, Section, _hard_iron, by_log, history_page, summary_page
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_the_line_of_a_history_passes_over_what_is_not_used(
 @pytest.mark.parametrize("width", [390, 1280])
 def test_a_folder_is_drawn_by_the_browser(width: int, opened: Any, tmp_path: Path) -> None:
     names, iron = [f"a {HOSTILE}", "b", "c"], np.array([[1.0, 2, 3], [1.5, 2, 3], [1.2, 2, 3]])
-    table = Section("Logs", ("log", "verdict"), [[Link(names[0], "a/report.html"), "word " * 40]])
+    table = Section("Logs", ("log", "verdict"), [[PageLink(names[0], "a/report.html"), "word " * 40]])
     figures = by_log(names, iron, 0 * iron + 0.2)
     text = summary_page("Many", "1 of 3", False, ["one"], [table, Section("Hard iron", figures=figures)])
     page = opened(_written(tmp_path, text), width=width)

@@ -71,7 +71,7 @@ class LinearDirections(NamedTuple):
         least minus half the smaller eigenvalue of the Gauss–Newton matrix, which so remains positive.
 
         Args:
-            field: (3, n), of the `Sight`.
+            field: (3, n), of the `DirectionModel`.
         """
         first, second, residual = self.window[:, 1], self.window[:, 2], self.window[:, 0]
         one, other, mixed = (
@@ -81,7 +81,7 @@ class LinearDirections(NamedTuple):
         return np.maximum(-np.einsum("in,in->n", residual + field, residual), -0.5 * smaller)
 
 
-class Bend(NamedTuple):
+class LinearisedSensor(NamedTuple):
     """A non-linear sensor, linearised: reads `at` + answer (F − `at`) plus a constant in the data, for F = B u + h.
 
     answer (3, n): ratio of a change of the reading to a change of the field, 0 where it clips; at (3, n): T.
@@ -91,12 +91,12 @@ class Bend(NamedTuple):
     at: Array
 
 
-class Sight(NamedTuple):
+class DirectionModel(NamedTuple):
     """The linear model of the directions for given θ, noise and weights.
 
     matrix (3, 3): B; rotation (3, 3, n): M; scale (n,): whitening scale of the windows; field (3, n): mean(m) − h,
-    whitened; turn (3, 3, n − 1): rotation from one window to the next; link_scale (n − 1,); answer (3, n): see `Bend`,
-    None for a linear sensor.
+    whitened; turn (3, 3, n − 1): rotation from one window to the next; link_scale (n − 1,); answer (3, n): see
+    `LinearisedSensor`, None for a linear sensor.
     """
 
     matrix: Array

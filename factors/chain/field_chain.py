@@ -28,7 +28,7 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, SensorNoise, Weights
-from magyc_gtsam.factors.chain.directions import Bend, QuadraticPrior, Sight, stepped
+from magyc_gtsam.factors.chain.directions import DirectionModel, LinearisedSensor, QuadraticPrior, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices, right_jacobian, skew
@@ -63,7 +63,7 @@ class FieldChain:
 
     windows: FieldWindows
     noise: SensorNoise
-    bend: Bend | None = field(default=None, kw_only=True)
+    bend: LinearisedSensor | None = field(default=None, kw_only=True)
     facts: tuple[Fact, ...] = field(default=(), kw_only=True)
     window_scale: Array = field(init=False)
     link_scale: Array = field(init=False)
@@ -93,7 +93,7 @@ class FieldChain:
 
     def part(self, first: int, stop: int) -> FieldChain:
         """Return the chain of the windows `first` ≤ n < `stop`, with the same facts."""
-        bend = None if self.bend is None else Bend(*(each[:, first:stop] for each in self.bend))
+        bend = None if self.bend is None else LinearisedSensor(*(each[:, first:stop] for each in self.bend))
         return replace(self, windows=self.windows.part(first, stop), bend=bend)
 
     def unweighted(self) -> Weights:
@@ -262,11 +262,11 @@ class FieldChain:
         """Return the prior on θ and the first direction besides the facts; the base class has none."""
         return None
 
-    def _sight(self, state: ChainState, weights: Weights) -> Sight:
+    def _sight(self, state: ChainState, weights: Weights) -> DirectionModel:
         parameters = state.parameters
         scale = self.window_scale * np.sqrt(weights.window)
         field = self._target(parameters[6:9, None]) * scale
-        return Sight(
+        return DirectionModel(
             iron_matrix(parameters),
             self.rotation(parameters),
             scale,

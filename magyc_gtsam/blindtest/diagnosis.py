@@ -20,7 +20,7 @@ from typing import Any
 FORBIDDEN = ("magyc_gtsam.blindtest", "magyc_gtsam.simulation")
 
 
-class Blindfold:
+class ImportBlocker:
     """An import hook that rejects the packages which contain the answers."""
 
     def find_spec(
@@ -37,7 +37,7 @@ def blindfold(sealed: Path) -> None:
     loaded = [name for name in sys.modules if name.startswith(FORBIDDEN)]
     if loaded:
         raise ImportError(f"the diagnosing process has already imported {loaded[0]}")
-    sys.meta_path.insert(0, Blindfold())
+    sys.meta_path.insert(0, ImportBlocker())
     hidden = os.path.realpath(sealed)
 
     def audit(event: str, arguments: tuple[Any, ...]) -> None:

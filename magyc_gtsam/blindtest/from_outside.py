@@ -35,7 +35,7 @@ _CHANNEL = "channel "
 
 
 @dataclass(frozen=True, eq=False)
-class Outside:
+class EffectsFromFile:
     """The effects of a file.
 
     Attributes:
@@ -49,7 +49,7 @@ class Outside:
     effects: Mapping[str, Function]
 
     @classmethod
-    def read(cls, path: Path) -> Outside:
+    def read(cls, path: Path) -> EffectsFromFile:
         """Run a Python file and return its functions.
 
         Raises:

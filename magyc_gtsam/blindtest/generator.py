@@ -27,7 +27,7 @@ _CUT = 0.03  # largest share of a real recording that is cut off at each end
 
 
 @dataclass(frozen=True, eq=False)
-class Hidden:
+class HiddenRecording:
     """A recording as the diagnosis sees it, and the truth for the scorer.
 
     Attributes:
@@ -45,7 +45,7 @@ class Hidden:
 
 def generate(
     scenario: Scenario, real: Recording | None = None, outside: Mapping[str, Function] | None = None
-) -> Hidden:
+) -> HiddenRecording:
     """Return the recording of a scenario and its truth.
 
     Args:
@@ -60,7 +60,7 @@ def generate(
         calibration = _calibration(real)
         effects = [(n, f * factor_in(real, calibration, n, scenario.seed)) for n, f in scenario.effects]
         recording, applied = inject(real, calibration, effects, scenario.seed, CHANNELS)
-        return Hidden(_blinded(recording, scenario), calibration, applied, real.attitude)
+        return HiddenRecording(_blinded(recording, scenario), calibration, applied, real.attitude)
     simulation = simulate(
         scenario.motion,
         scenario.duration,
@@ -73,7 +73,7 @@ def generate(
     for name, factor in scenario.effects:
         if outside and name in outside:
             recording = changed(recording, name, outside[name], factor, scenario.seed)
-    return Hidden(_blinded(recording, scenario), simulation.truth, simulation.effects, recording.attitude)
+    return HiddenRecording(_blinded(recording, scenario), simulation.truth, simulation.effects, recording.attitude)
 
 
 @lru_cache(maxsize=1)
@@ -104,7 +104,7 @@ def sensors(seed: int) -> dict[str, Any]:
     }
 
 
-def truth_of(scenario: Scenario, hidden: Hidden) -> dict[str, Any]:
+def truth_of(scenario: Scenario, hidden: HiddenRecording) -> dict[str, Any]:
     """Return the truth to seal, as JSON types."""
     return {
         "scenario": asdict(scenario),

@@ -76,13 +76,13 @@ class Outcome:
 Named = tuple[str, tuple[str, ...]]  # a name and its ambiguity set
 Already = dict[str, frozenset[str]]  # the effects present in an unchanged real recording, each with its rivals
 Heading = Callable[[Scenario, dict[str, Any]], tuple[float, float] | None]
-Standing = Callable[[Scenario], float | None]
+Visibility = Callable[[Scenario], float | None]
 
 
 def score(
     folder: Path,
     heading: Heading = lambda *_: None,
-    standing: Standing = lambda _: None,
+    standing: Visibility = lambda _: None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Outcome]:
     """Return the outcomes of all diagnosed recordings, in the order of the scenarios.
@@ -158,7 +158,7 @@ def _outcome(
     result: dict[str, Any],
     already: Already,
     heading: Heading,
-    standing: Standing,
+    standing: Visibility,
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
     if scenario.set == "real" and scenario.effects:

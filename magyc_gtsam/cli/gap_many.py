@@ -49,7 +49,7 @@ def gap_of_logs(
         MagycError: no log can be read.
     """
     from magyc_gtsam import MagycError, find_gap
-    from magyc_gtsam.gap.many.result import Own
+    from magyc_gtsam.gap.many.result import LogLeftOut
 
     recordings, unread = [], []
     folder = output or dated_folder(Path("logs"), "-gap")
@@ -59,7 +59,7 @@ def gap_of_logs(
             try:
                 recordings.append(replace(replace(reading, log=log).recording(), name=name))
             except MagycError as problem:
-                unread.append(Own(name, str(problem).removeprefix(f"{log}: ")))
+                unread.append(LogLeftOut(name, str(problem).removeprefix(f"{log}: ")))
             progress(done / len(logs))
         if not recordings:
             raise MagycError(f"none of {len(logs)} logs can be read; the first: {unread[0].sentence}")

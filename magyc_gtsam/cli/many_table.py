@@ -100,7 +100,7 @@ def write_tables(folder: Path, table: Sequence[Row]) -> None:
 
     from magyc_gtsam.engine import write_rows
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.report.summary_page import Link, Section, by_log, summary_page
+    from magyc_gtsam.report.summary_page import PageLink, Section, by_log, summary_page
 
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS)
@@ -115,7 +115,7 @@ def write_tables(folder: Path, table: Sequence[Row]) -> None:
     header, rows = shown(table)
     header = [header[0], header[-1], *header[1:-1]]  # a phone shows the first columns
     linked = [
-        [Link(row[0], each["page"]) if each["page"] else row[0], row[-1], *row[1:-1]]
+        [PageLink(row[0], each["page"]) if each["page"] else row[0], row[-1], *row[1:-1]]
         for row, each in zip(rows, table, strict=True)
     ]
     sections = [Section("Logs", header, linked)]

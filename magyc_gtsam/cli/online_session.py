@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _WAIT = 0.2  # s that reading may wait, and so the delay until an interrupt is noticed
 
 
-class End(str, Enum):
+class EndReason(str, Enum):
     """Why a run ended."""
 
     COMPLETE = "the input is complete"
@@ -76,7 +76,7 @@ class Session:
         view: RunView,
     ) -> None:
         self.source, self.online, self.output, self.state = source, online, output, state
-        self.end = End.COMPLETE
+        self.end = EndReason.COMPLETE
         self.skipped = self.taken = 0
         self._every, self._idle, self._axes, self._view = every, idle, axes, view
         self._until = online.taken_until  # the last stamps that an earlier run has used
@@ -112,12 +112,12 @@ class Session:
             if self.source.received != received:
                 received, grown = self.source.received, now
             if interrupts:
-                self.end = End.INTERRUPTED
+                self.end = EndReason.INTERRUPTED
                 return
             if not batch and self.source.ended:
                 return
             if not batch and self._idle is not None and now - grown >= self._idle:
-                self.end = End.IDLE
+                self.end = EndReason.IDLE
                 return
             if now - written >= self._every:
                 try:

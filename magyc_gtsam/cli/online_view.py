@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from magyc_gtsam.cli.online_session import End, Session, judged_online
+from magyc_gtsam.cli.online_session import EndReason, Session, judged_online
 from magyc_gtsam.cli.online_text import change_sentence, counted_from, first_stamp, line, panel
 from magyc_gtsam.cli.terminal import concluded, console, show, show_calibration
 from magyc_gtsam.foreign_text import printable
@@ -81,7 +81,7 @@ class QuietView:
 
     def _no_calibration(self, session: Session) -> int:
         """Show why there is no calibration, and return the exit code."""
-        if session.end is End.INTERRUPTED:
+        if session.end is EndReason.INTERRUPTED:
             self.complain("interrupted before there was a calibration")
             return _INTERRUPTED
         if self.source.waiting_for:
@@ -96,7 +96,7 @@ class QuietView:
         return False
 
 
-class Plain(QuietView):
+class PlainView(QuietView):
     """A display with a line per report, and the result at the end."""
 
     def report(self) -> None:
@@ -120,7 +120,7 @@ class Plain(QuietView):
         return True
 
 
-class LiveView(Plain):
+class LiveView(PlainView):
     """A display on a terminal that is redrawn in place."""
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
@@ -237,7 +237,7 @@ def view(
     elif quiet:
         yield QuietView(source, online)
     elif not console().is_terminal:
-        yield Plain(source, online)
+        yield PlainView(source, online)
     else:
         live = LiveView(source, online)
         try:

@@ -184,7 +184,7 @@ def run(
     else:
         from magyc_gtsam.cli import study_papers as papers
 
-        place = papers.Place(output or Path(f"results/{study}"), engine, workers)
+        place = papers.StudyOutput(output or Path(f"results/{study}"), engine, workers)
         if study is Study.SETTLING:
             papers.settling(place, runs, noise)
         elif study is Study.DIVE_SURVEY:

@@ -89,7 +89,7 @@ def faults(
     header = ["fault", "strength", "motion", "by", *OUTCOMES, "hard iron µT", "heading °"]
     worst = [
         [
-            cell.fault + ("" if FAULTS[cell.fault].shows else " (resembles askew chips)"),
+            cell.fault + ("" if FAULTS[cell.fault].shows else " (resembles misaligned chips)"),
             f"{getattr(FAULTS[cell.fault], cell.strength):g} {FAULTS[cell.fault].unit}",
             cell.motion,
             cell.method,
@@ -107,7 +107,7 @@ def faults(
     hidden = covered(rows)
     if hidden is not None:
         show(
-            f"{hidden.count} results under faults that resemble askew chips, trusted or not: hard iron within one "
+            f"{hidden.count} results under faults that resemble misaligned chips, trusted or not: hard iron within one "
             f"stated sigma on its worst axis in {hidden.hard_iron:.0%}, heading at its worst in {hidden.heading:.0%}"
         )
     show(f"{folder / 'faults.parquet'}")

@@ -28,7 +28,7 @@ def blind_test(
     Returns:
         The exit code: 0 if all gates are passed, else 1.
     """
-    from magyc_gtsam.blindtest.from_outside import Outside
+    from magyc_gtsam.blindtest.from_outside import EffectsFromFile
     from magyc_gtsam.blindtest.gates import gates, missing
     from magyc_gtsam.blindtest.heading import heading_errors
     from magyc_gtsam.blindtest.pictures import write_pictures
@@ -46,7 +46,7 @@ def blind_test(
         raise MagycError(f"--set: {unknown[0]!r} is not one of {', '.join(SETS[:-1])}")
     if foreign is not None and sets:
         raise MagycError("--set: has no effect with --foreign, whose effects are the only ones; leave it out")
-    outside = None if foreign is None else Outside.read(foreign)
+    outside = None if foreign is None else EffectsFromFile.read(foreign)
     if outside is not None:
         for motion in motions or MOTIONS:
             tests[f"{motion}-{outside.name}"] = outside.scenarios(motion, runs, edition), {}

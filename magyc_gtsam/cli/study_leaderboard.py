@@ -11,7 +11,7 @@ from magyc_gtsam.cli.terminal import show, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
-    from magyc_gtsam.study.leaderboard.standings import Standing
+    from magyc_gtsam.study.leaderboard.standings import MethodStanding
 
 HEADER = (
     "method", "trusted", "heading °", "direction °", "worst °", "best", "better", "worse", "in 1.96 σ", "NEES", "s"
@@ -79,7 +79,7 @@ def leaderboard(
     return 0
 
 
-def _tables(rows: Sequence[Row]) -> dict[str, list[Standing]]:
+def _tables(rows: Sequence[Row]) -> dict[str, list[MethodStanding]]:
     """Return {title: standings} of each collection."""
     from magyc_gtsam.study.leaderboard.standings import standings
 
@@ -91,7 +91,7 @@ def _tables(rows: Sequence[Row]) -> dict[str, list[Standing]]:
     return tables
 
 
-def cells(each: Standing) -> list[str]:
+def cells(each: MethodStanding) -> list[str]:
     """Return the texts of one row of the table."""
 
     def text(value: float | None, form: str) -> str:
@@ -132,7 +132,7 @@ def lost(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
 
 
 def _page(
-    tables: dict[str, list[Standing]], sentences: Sequence[str], notes: Sequence[str], calibrations: int
+    tables: dict[str, list[MethodStanding]], sentences: Sequence[str], notes: Sequence[str], calibrations: int
 ) -> str:
     from magyc_gtsam.report.summary_page import Section, summary_page
 

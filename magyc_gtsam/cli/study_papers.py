@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.study.table_one import MethodOnMotion
 
 
-class Place(NamedTuple):
+class StudyOutput(NamedTuple):
     """The folder of a study's files, and the engine on which it runs; see `magyc_gtsam.engine`."""
 
     folder: Path
@@ -39,7 +39,7 @@ class Place(NamedTuple):
         show("", f"{self.folder}: {name}.svg, and every run as Parquet")
 
 
-def review(place: Place, runs: int) -> None:
+def review(place: StudyOutput, runs: int) -> None:
     """Reproduce Table 2 and Figs 2 to 5 of the review."""
     from magyc_gtsam.study import review as study
 
@@ -84,7 +84,7 @@ def review(place: Place, runs: int) -> None:
     place.drawn("review", lambda target: study.draw_figures(target, rows))
 
 
-def autocal(place: Place, runs: int) -> None:
+def autocal(place: StudyOutput, runs: int) -> None:
     """Reproduce Figs 5 and 6 of the Autocal paper, and add one-sided data."""
     from magyc_gtsam.study import autocal as study
 
@@ -109,7 +109,7 @@ def autocal(place: Place, runs: int) -> None:
     place.drawn("autocal", lambda target: study.draw(target, rows))
 
 
-def real_tracks(place: Place, logs: Sequence[str], sensor: str) -> None:
+def real_tracks(place: StudyOutput, logs: Sequence[str], sensor: str) -> None:
     """Reproduce Fig. 6 of the review, and Tables IV and V of the Autocal paper."""
     from magyc_gtsam.study import real_tracks as study
 
@@ -159,7 +159,7 @@ def real_tracks(place: Place, logs: Sequence[str], sensor: str) -> None:
     place.drawn(f"real-{sensor}", lambda target: study.draw(target, rows))
 
 
-def table_one(place: Place, runs: int, gyroscope_noise: float) -> None:
+def table_one(place: StudyOutput, runs: int, gyroscope_noise: float) -> None:
     """Reproduce Table I of the MAGYC paper, by this project's conventions and by the authors'."""
     from magyc_gtsam.study import table_one as study
 
@@ -197,7 +197,7 @@ def table_one(place: Place, runs: int, gyroscope_noise: float) -> None:
     place.drawn("table-one", lambda target: study.draw(target, ours))
 
 
-def settling(place: Place, runs: int, gyroscope_noise: float) -> None:
+def settling(place: StudyOutput, runs: int, gyroscope_noise: float) -> None:
     """Show the share of the data after which MAGYC-IFG no longer changes."""
     from magyc_gtsam.study import settling as study
 
@@ -211,7 +211,7 @@ def settling(place: Place, runs: int, gyroscope_noise: float) -> None:
     place.drawn("settling", lambda target: study.draw(target, rows))
 
 
-def dive_survey(place: Place, runs: int) -> None:
+def dive_survey(place: StudyOutput, runs: int) -> None:
     """Reproduce Fig. 3b of the MAGYC paper."""
     from magyc_gtsam.study import dive_survey as study
 
@@ -236,7 +236,7 @@ def dive_survey(place: Place, runs: int) -> None:
     place.drawn("dive-survey", lambda target: study.draw(target, rows))
 
 
-def duration(place: Place, runs: int) -> None:
+def duration(place: StudyOutput, runs: int) -> None:
     """Show the heading error by minutes of data and amplitude of motion, which no paper has."""
     from magyc_gtsam.study import duration as study
 

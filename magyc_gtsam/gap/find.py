@@ -33,7 +33,7 @@ from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.tones import silenced
 from magyc_gtsam.gap.scores.look import look
-from magyc_gtsam.gap.simulated import Side, compare
+from magyc_gtsam.gap.simulated import SimulatedGap, compare
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
@@ -111,7 +111,9 @@ def find_gap(
     return replace(gap, calibration=fitted)
 
 
-def _side(recording: Recording, names: tuple[str, ...], what: str, report: Callable[[float], None]) -> Side:
+def _side(
+    recording: Recording, names: tuple[str, ...], what: str, report: Callable[[float], None]
+) -> SimulatedGap:
     """Return the gap of the base model on one of the two recordings.
 
     Raises:
@@ -126,9 +128,9 @@ def _side(recording: Recording, names: tuple[str, ...], what: str, report: Calla
     return _side_of(gap, result)
 
 
-def _side_of(gap: Gap, result: Named) -> Side:
+def _side_of(gap: Gap, result: Named) -> SimulatedGap:
     tested, fitted = result.first.tested, widened(result.fitted)
-    return Side(gap, look(result.recording, fitted, tested, np.random.default_rng(0)))
+    return SimulatedGap(gap, look(result.recording, fitted, tested, np.random.default_rng(0)))
 
 
 def _gap_and_named(

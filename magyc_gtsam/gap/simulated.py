@@ -20,20 +20,20 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.result import Assumption, Effect, Gap
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.look import Look
+from magyc_gtsam.gap.scores.look import ScoreTests
 
 _Row = tuple[str, float, float, float, str]
 _AXES = ("x", "y", "z")
 
 
-class Side(NamedTuple):
+class SimulatedGap(NamedTuple):
     """The result for one of the two recordings: the gap, and the score tests of the model with its effects."""
 
     gap: Gap
-    last: Look
+    last: ScoreTests
 
 
-def compare(measured: Side, simulated: Side) -> tuple[Assumption, ...]:
+def compare(measured: SimulatedGap, simulated: SimulatedGap) -> tuple[Assumption, ...]:
     """Compare effects, parameters and noise of the two recordings.
 
     Parameters and noise are those of the models with the effects that were found.
@@ -167,7 +167,7 @@ def _parameters(measured: Refit, simulated: Refit) -> Iterator[_Row]:
             yield f"{name} {part}".strip(), float(first[i]), float(second[i]), float(sigma[i]), unit
 
 
-def _unnamed(measured: Side, simulated: Side) -> Iterator[_Row]:
+def _unnamed(measured: SimulatedGap, simulated: SimulatedGap) -> Iterator[_Row]:
     """Yield the effects with one setting that were found in neither, by their most different parameter."""
     found = {*measured.gap.names, *simulated.gap.names}
     by_name = {score.name: score for score in simulated.last.scores}

@@ -34,7 +34,7 @@ _STAMP = struct.Struct("<iI")  # of a header
 
 
 @dataclass
-class Copied:
+class CopyCounts:
     """Numbers of messages in a copy.
 
     Attributes:
@@ -61,7 +61,7 @@ class _Copy:
     kinds: dict[int, str] = field(default_factory=dict)
     channels: dict[int, int] = field(default_factory=dict)
     sensors: dict[int, tuple[str, int]] = field(default_factory=dict)  # {channel: (sensor, offset of its vector)}
-    count: Copied = field(default_factory=Copied)
+    count: CopyCounts = field(default_factory=CopyCounts)
 
     def take(self, record: object) -> None:
         """Copy a record."""
@@ -132,7 +132,7 @@ def copy_mcap(
     lag: float = 0.0,
     by_log_time: bool = False,
     progress: Callable[[float], None] = lambda share: None,
-) -> Copied | None:
+) -> CopyCounts | None:
     """Copy a log and replace the vectors of its sensors; everything else in the log stays the same.
 
     Args:

@@ -50,7 +50,7 @@ class Parameters:
 
 
 @dataclass(frozen=True)
-class Undone:
+class Uncalibrated:
     """Values (n, 3) with the calibration undone, and notes on it."""
 
     value: Array
@@ -66,7 +66,7 @@ def undo(
     *,
     corrected: bool,
     rotated: bool,
-) -> Undone:
+) -> Uncalibrated:
     """Return raw values in the frame of the vehicle.
 
     Args:
@@ -104,7 +104,7 @@ def undo(
     if not np.allclose(rotation, np.eye(3)):
         angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
         notes.append(f"{kind}: values are in the vehicle's frame, {angle:.2f}° from the sensor's")
-    return Undone(value @ rotation.T, tuple(notes))
+    return Uncalibrated(value @ rotation.T, tuple(notes))
 
 
 def _index(kind: str, parameters: Parameters, device: int | None, corrected: bool) -> tuple[int | None, list[str]]:

@@ -12,7 +12,7 @@ from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 
 @dataclass(frozen=True)
-class Card:
+class MethodCard:
     """One method with its summary and figures."""
 
     outcome: MethodOutcome
@@ -54,13 +54,13 @@ def _overview(comparison: Comparison) -> list[compare_charts.DotAxis]:
     return [compare_charts.hard_irons(comparison, axis) for axis in range(3)]
 
 
-def _card(comparison: Comparison, outcome: MethodOutcome) -> Card:
+def _card(comparison: Comparison, outcome: MethodOutcome) -> MethodCard:
     figures = [compare_charts.ellipsoid(comparison, outcome), compare_charts.strength(comparison, outcome)]
     if outcome.heading is not None and comparison.raw.heading is not None:
         figures.append(compare_charts.heading(comparison, outcome))
     summary = _changes(comparison.raw, outcome, *comparison.recording.field_shown)
     caution = "" if outcome.status is OutcomeStatus.TRUSTED else outcome.reason
-    return Card(outcome, ", ".join(summary), caution, tuple(figures))
+    return MethodCard(outcome, ", ".join(summary), caution, tuple(figures))
 
 
 def _changes(raw: MethodOutcome, outcome: MethodOutcome, scale: float, unit: str) -> Iterable[str]:

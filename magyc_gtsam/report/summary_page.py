@@ -22,7 +22,7 @@ _BARS = "Bars: 95% interval (±1.96σ)."
 
 
 @dataclass(frozen=True)
-class Link:
+class PageLink:
     """A table cell that links to another page."""
 
     text: str
@@ -35,7 +35,7 @@ class Section:
 
     title: str
     header: Sequence[str] = ()
-    rows: Sequence[Sequence[str | Link]] = ()
+    rows: Sequence[Sequence[str | PageLink]] = ()
     sentences: Sequence[str] = ()
     figures: Sequence[Figure] = ()
 
@@ -124,7 +124,7 @@ def judged_history(history: History) -> Verdict:
     )
 
 
-def history_rows(history: History) -> list[list[str | Link]]:
+def history_rows(history: History) -> list[list[str | PageLink]]:
     """Return one row per jump: the log that follows it, with its date, and the size ± σ along x, y, z."""
 
     def dated_name(index: int) -> str:

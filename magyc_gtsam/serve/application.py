@@ -28,7 +28,7 @@ from magyc_gtsam.serve.ports import serial_ports
 from magyc_gtsam.serve.results import details
 from magyc_gtsam.serve.safety import Guard
 from magyc_gtsam.serve.sources import source_of
-from magyc_gtsam.serve.store import Full, Store
+from magyc_gtsam.serve.store import Store, StoreFull
 
 # A report's own script may run, but cannot reach this server, the network or the page beside it.
 _REPORT = (
@@ -255,7 +255,7 @@ class Server:
             Route("/results/{key}/{name}", self.file),
             WebSocketRoute("/api/events", self.events.socket),
         ]
-        handlers: Any = {HTTPException: _http_problem, MagycError: _refused, Full: _full}
+        handlers: Any = {HTTPException: _http_problem, MagycError: _refused, StoreFull: _full}
         application = Starlette(routes=routes, lifespan=lifespan, exception_handlers=handlers)
         application.router.redirect_slashes = False
         return application

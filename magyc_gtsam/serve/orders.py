@@ -19,7 +19,7 @@ _LONGEST = 200  # most characters of a topic
 
 
 @dataclass(frozen=True)
-class Order:
+class JobRequest:
     """A checked request for a job.
 
     Attributes:
@@ -50,7 +50,7 @@ class Order:
         return [self.kind, *logs, "--json", f"--output={output}", *interval, *self.reading]
 
 
-def order(asked: Any, logs: Mapping[str, StoredLog], limits: Limits) -> Order:
+def order(asked: Any, logs: Mapping[str, StoredLog], limits: Limits) -> JobRequest:
     """Return the job that the page requested.
 
     Raises:
@@ -72,7 +72,7 @@ def order(asked: Any, logs: Mapping[str, StoredLog], limits: Limits) -> Order:
     if absent := [key for key in keys if key not in logs]:
         raise MagycError(f"logs: {len(absent)} no longer exist; reload the page")
     start, end = (_seconds(asked, name) for name in ("start", "end"))
-    return Order(kind, tuple(logs[key] for key in dict.fromkeys(keys)), start, end, tuple(reading(asked)))
+    return JobRequest(kind, tuple(logs[key] for key in dict.fromkeys(keys)), start, end, tuple(reading(asked)))
 
 
 def _seconds(asked: Mapping[str, Any], name: str) -> float | None:

@@ -33,7 +33,7 @@ _KINDS = {
 _LIVE = "live.json"
 
 
-class Full(MagycError):
+class StoreFull(MagycError):
     """The disk, or the number of uploads, is at its limit."""
 
 
@@ -121,7 +121,7 @@ class Store:
             Full: there are too many uploads, or the log is too large for the disk.
         """
         if len(self._uploaded()) + len(self._arriving) >= self._limits.uploads:
-            raise Full(f"at most {self._limits.uploads} uploaded logs are kept; remove one first")
+            raise StoreFull(f"at most {self._limits.uploads} uploaded logs are kept; remove one first")
         self.room_for(size or 0)
         key = secrets.token_hex(8)
         place = self._uploads / key
@@ -142,7 +142,7 @@ class Store:
             Full: they would leave less than the spare space.
         """
         if shutil.disk_usage(self.folder).free < size + self._limits.spare:
-            raise Full("the disk of the server is full; remove logs or results")
+            raise StoreFull("the disk of the server is full; remove logs or results")
 
     def remove(self, key: str) -> bool:
         """Remove an upload and return whether it existed."""

@@ -100,7 +100,7 @@ class Applied:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class RequestedEffect:
     """A requested effect with its name, strength and own stream of random numbers."""
 
     name: str
@@ -120,7 +120,7 @@ class Chosen:
 class Chain:
     """The requested effects, applied stage by stage; `applied` records each as applied."""
 
-    def __init__(self, chosen: Sequence[Chosen], scene: Scene) -> None:
+    def __init__(self, chosen: Sequence[RequestedEffect], scene: Scene) -> None:
         self.scene = scene
         self.applied: list[Applied] = []
         self._chosen = list(chosen)

@@ -28,7 +28,7 @@ _OFFSET, _ROUGH = 0.1, 0.3  # m/s², constant offset and noise of an acceleromet
 _MOVED = 100e-6  # T, by which the hard iron may have changed since the earlier calibration
 
 
-class Placed(NamedTuple):
+class KnownPlaceCase(NamedTuple):
     """A simulation with the operator's knowledge of the place.
 
     Attributes:
@@ -46,7 +46,7 @@ class Placed(NamedTuple):
     field: tuple[float, float]
 
 
-def placed(motion: str, duration: float, seed: int) -> Placed:
+def placed(motion: str, duration: float, seed: int) -> KnownPlaceCase:
     """Return a simulation with random errors of the accelerometer and of the world model."""
     simulation = simulate(motion, duration, seed=seed)
     random = np.random.default_rng([seed, 17])
@@ -58,7 +58,9 @@ def placed(motion: str, duration: float, seed: int) -> Placed:
     strength = simulation.truth.field_strength
     assert strength is not None
     field = strength + FIELD_SIGMA * random.normal(), dip + DIP_SIGMA * random.normal()
-    return Placed(simulation, replace(simulation.recording, acceleration=force), simulation.truth, dip, field)
+    return KnownPlaceCase(
+        simulation, replace(simulation.recording, acceleration=force), simulation.truth, dip, field
+    )
 
 
 @cache
@@ -91,7 +93,7 @@ def fact_row(motion: str, duration: float, seed: int) -> dict[str, Row]:
     return rows
 
 
-def _bound(run: Placed, recording: Recording, options: Mapping[str, Any]) -> float:
+def _bound(run: KnownPlaceCase, recording: Recording, options: Mapping[str, Any]) -> float:
     """Return the mean of the hard iron's variance by the Cramér–Rao bound with the knowledge in the options, T²."""
     chosen = SmootherOptions(**options)
     facts = known_of(chosen).facts

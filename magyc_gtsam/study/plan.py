@@ -25,7 +25,7 @@ from magyc_gtsam.factors.chain.field_chain import SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.level_turn import Askew
+from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.observability import assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import simulate
@@ -150,7 +150,9 @@ def _planned(
     soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12])
     cross = covariance[:9, SKEW].copy()
     cross[:6] /= unit
-    found = assess(reported, soft_iron, unit, recording, parameters[6:9], Askew(covariance[SKEW, SKEW], cross))
+    found = assess(
+        reported, soft_iron, unit, recording, parameters[6:9], MisalignmentError(covariance[SKEW, SKEW], cross)
+    )
     worst = float(np.sqrt(_largest(reported[6:9, 6:9])))
     assert found.heading_sigma is not None
     return Planned(motion, way, duration, found.heading_sigma, worst, found.observable)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.principal import Principal, stacked
+from magyc_gtsam.estimators.model_error.principal import PrincipalAxes, stacked
 from magyc_gtsam.factors.chain.rotations import Array
 
 
@@ -33,7 +33,7 @@ class Averaged(NamedTuple):
 
 
 def averaged_of_each(
-    groups: Sequence[Principal], square: float, freedom: float, most: Sequence[float], octaves: Sequence[int]
+    groups: Sequence[PrincipalAxes], square: float, freedom: float, most: Sequence[float], octaves: Sequence[int]
 ) -> list[Averaged]:
     """Average each group by itself, over its number of `octaves` from its `most` down; `square` is yᵀy."""
     value, pull = stacked(groups)

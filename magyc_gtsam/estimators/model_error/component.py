@@ -12,8 +12,8 @@ import numpy as np
 from magyc_gtsam.estimators.model_error.components import likeliest_of_each
 from magyc_gtsam.estimators.model_error.families import ColumnFamily
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
-from magyc_gtsam.estimators.model_error.principal import Principal, principal
-from magyc_gtsam.estimators.smoother.beside import ColumnProducts, New
+from magyc_gtsam.estimators.model_error.principal import PrincipalAxes, principal
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts, ColumnScore
 from magyc_gtsam.factors.chain.rotations import Array
 
 _LEAST_GAIN = 1.0  # gain in nats below which the columns of a family need no check for noise
@@ -54,7 +54,7 @@ class Component:
     share: float = 1.0
 
 
-class Tested(NamedTuple):
+class FamilyTest(NamedTuple):
     """The score test of a family beside a fit.
 
     Attributes:
@@ -66,13 +66,13 @@ class Tested(NamedTuple):
     """
 
     family: ColumnFamily
-    new: New
-    principal: Principal
+    new: ColumnScore
+    principal: PrincipalAxes
     gain: float
-    moving: New
+    moving: ColumnScore
 
 
-def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Tested]) -> list[Array]:
+def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[FamilyTest]) -> list[Array]:
     """Return, for each family, the error (p, k) of θ and of the terms per unit of each column.
 
     The error is relative to the parameters that hold at the end of the recording.
@@ -85,27 +85,29 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Teste
     return result
 
 
-def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[Tested]:
+def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[FamilyTest]:
     """Test each family by itself."""
     new = beside.of_each([partial(family.columns_of, motion) for family in families])
     return [_informative(beside, motion, each) for each in _tested(beside, families, new)]
 
 
-def _beside_terms(new: New) -> np.ndarray:
+def _beside_terms(new: ColumnScore) -> np.ndarray:
     """Return (k,) bool, whether each column differs from the terms of the model."""
     result: np.ndarray = new.left_by_terms > _BESIDE_TERMS
     return result
 
 
-def _tested(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Sequence[New]) -> list[Tested]:
+def _tested(
+    beside: ColumnProducts, families: Sequence[ColumnFamily], new: Sequence[ColumnScore]
+) -> list[FamilyTest]:
     most = [family.most**2 * beside.freedom / beside.square for family in families]
     groups = [principal(each.normal, each.score) for each in new]
     found = likeliest_of_each(groups, beside.square, beside.freedom, most)
     each = zip(families, new, groups, found, strict=True)
-    return [Tested(family, own, group, best.gain, own) for family, own, group, best in each]
+    return [FamilyTest(family, own, group, best.gain, own) for family, own, group, best in each]
 
 
-def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
+def _informative(beside: ColumnProducts, motion: WindowMotion, tested: FamilyTest) -> FamilyTest:
     """Return the test without columns that repeat terms of the model or consist of the gyroscope's noise.
 
     That noise is in the residual as well, so the score of such a column is biased. The effect of the column on the
@@ -127,7 +129,7 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
     return _tested(beside, [family], [beside.of(columns.only(kept))])[0]._replace(moving=moving)
 
 
-def _without_unknown_mixtures(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
+def _without_unknown_mixtures(beside: ColumnProducts, motion: WindowMotion, tested: FamilyTest) -> FamilyTest:
     """Return the test without combinations of columns that consist of the gyroscope's noise or are not resolved."""
     family, columns = tested.family, tested.family.columns_of(motion).dense
     value, axes, _ = tested.principal
@@ -139,7 +141,7 @@ def _without_unknown_mixtures(beside: ColumnProducts, motion: WindowMotion, test
         return tested
     some = axes[:, kept] @ axes[:, kept].T
     new = tested.new
-    told = New(
+    told = ColumnScore(
         some @ new.normal @ some, new.score @ some, new.explained @ some, lambda: columns.mixed(some), beside
     )
     return _tested(beside, [family], [told])[0]._replace(moving=new)

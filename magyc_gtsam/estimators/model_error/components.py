@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from magyc_gtsam.estimators.model_error.principal import Principal, principal
+from magyc_gtsam.estimators.model_error.principal import PrincipalAxes, principal
 from magyc_gtsam.factors.chain.rotations import Array
 
 _VARIANCE_GRID = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
@@ -30,7 +30,7 @@ _CONVERGED = 0.1  # relative change of a variance below which it has converged
 _LEAST_GAIN = 3.0  # gain in log-likelihood that a group must have beside the others
 
 
-class Likeliest(NamedTuple):
+class VarianceEstimate(NamedTuple):
     """The likeliest variance v, its gain in log-likelihood over v = 0, and the posterior mean of v up to a largest."""
 
     variance: float
@@ -40,7 +40,7 @@ class Likeliest(NamedTuple):
 
 def likeliest(
     normal: Array, score: Array, square: float, freedom: float, most: float, usual: float | None = None
-) -> Likeliest:
+) -> VarianceEstimate:
     """Return the likeliest variance up to `most` of a group with G (k, k) and s (k,); `square` is yᵀy.
 
     `usual` bounds the mean of the variance, unless a larger one is the likeliest; it is `most` by default.
@@ -51,12 +51,12 @@ def likeliest(
 
 
 def likeliest_of_each(
-    groups: Sequence[Principal],
+    groups: Sequence[PrincipalAxes],
     square: float,
     freedom: float,
     most: Sequence[float],
     usual: Sequence[float] | None = None,
-) -> list[Likeliest]:
+) -> list[VarianceEstimate]:
     """Return the likeliest variance of each group by itself, up to its entry of `most`; `usual` as in `likeliest`."""
     if not groups:
         return []
@@ -74,7 +74,7 @@ def likeliest_of_each(
     share = np.exp(gain - rise[:, None]) * (variance <= bound[:, None])
     mean = np.maximum(top, (share * variance).sum(axis=1) / share.sum(axis=1))  # an amplitude that is seen stays
     found = zip(top.tolist(), rise.tolist(), mean.tolist(), strict=True)
-    return [Likeliest(*each) if each[1] > 0 else Likeliest(0.0, 0.0, 0.0) for each in found]
+    return [VarianceEstimate(*each) if each[1] > 0 else VarianceEstimate(0.0, 0.0, 0.0) for each in found]
 
 
 class Components(NamedTuple):
@@ -118,7 +118,7 @@ def fit_components(
         before = variance.copy()
         for i, own in enumerate(groups):
             prior[own] = 0.0
-            held = Held.of(normal, score, prior, square)
+            held = FixedColumns.of(normal, score, prior, square)
             known, pulled = held.explained(normal[:, own])
             found = likeliest(
                 normal[own, own] - known,
@@ -137,7 +137,7 @@ def fit_components(
     return Components(np.sqrt(variance * level), level, second, mean, prior)
 
 
-class Held(NamedTuple):
+class FixedColumns(NamedTuple):
     """Columns whose variances are held fixed.
 
     Attributes:
@@ -153,7 +153,7 @@ class Held(NamedTuple):
     left: float
 
     @classmethod
-    def of(cls, normal: Array, score: Array, prior: Array, square: float) -> Held:
+    def of(cls, normal: Array, score: Array, prior: Array, square: float) -> FixedColumns:
         """Factorise columns with G (K, K), s (K,), variances over φ (K,) and yᵀy."""
         active = prior > 0
         if not active.any():

@@ -273,7 +273,7 @@ FAMILIES = (
     _in_time("drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)),
     ColumnFamily("attitude", _GOES, _attitude, 0.03, 9, first=True, of_place=True, prior=SELDOM),
     ColumnFamily("tilt", _LEANS, _tilt, 0.03, 3, first=True),
-    ColumnFamily("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, 2, first=True),
+    ColumnFamily("skew", "the chips' axes are misaligned by {} of the field", _skew, 0.035, 2, first=True),
     ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
     ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),
     ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3, first=True),

@@ -12,11 +12,11 @@ from math import exp
 from typing import NamedTuple
 
 from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged_of_each
-from magyc_gtsam.estimators.model_error.component import Component, Tested, moves
-from magyc_gtsam.estimators.model_error.components import Held, likeliest
+from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, moves
+from magyc_gtsam.estimators.model_error.components import FixedColumns, likeliest
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.principal import principal
-from magyc_gtsam.estimators.model_error.shown import Shown
+from magyc_gtsam.estimators.model_error.shown import JointFit
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.stacked import Stacked
 
@@ -25,7 +25,7 @@ _LEAST_ODDS = 0.03  # upper bound of the posterior odds below which a family is 
 
 
 def not_excluded(
-    beside: ColumnProducts, motion: WindowMotion, every: Sequence[Tested], shown: Shown
+    beside: ColumnProducts, motion: WindowMotion, every: Sequence[FamilyTest], shown: JointFit
 ) -> list[Component]:
     """Return a component for each family that is not excluded, with a covariance (p, p) of θ and of the terms.
 
@@ -60,18 +60,18 @@ class _Others(NamedTuple):
         prior, gain: prior odds and gain in log-likelihood of the family that is replaced; those of none otherwise.
     """
 
-    held: Held
+    held: FixedColumns
     prior: float = 1.0
     gain: float = 0.0
 
 
-def _others(beside: ColumnProducts, shown: Shown) -> Iterator[_Others]:
+def _others(beside: ColumnProducts, shown: JointFit) -> Iterator[_Others]:
     """Yield all families that are shown, then all but one, for each of them."""
-    yield _Others(Held.of(shown.normal, shown.score, shown.variance, beside.square))
+    yield _Others(FixedColumns.of(shown.normal, shown.score, shown.variance, beside.square))
     for replaced, own in shown.active:
         variance = shown.variance.copy()
         variance[own] = 0.0
-        held = Held.of(shown.normal, shown.score, variance, beside.square)
+        held = FixedColumns.of(shown.normal, shown.score, variance, beside.square)
         known, pulled = held.explained(shown.normal[:, own])
         new = shown.normal[own, own] - known, shown.score[own] - pulled
         most = replaced.family.most**2 * beside.freedom / held.left
@@ -79,7 +79,7 @@ def _others(beside: ColumnProducts, shown: Shown) -> Iterator[_Others]:
 
 
 def _likeliest(
-    beside: ColumnProducts, families: Sequence[Tested], largest: Sequence[float], shown: Shown
+    beside: ColumnProducts, families: Sequence[FamilyTest], largest: Sequence[float], shown: JointFit
 ) -> list[tuple[float, Averaged]]:
     """Return the odds and posterior of each family in its likeliest hypothesis."""
     octaves = [each.family.octaves for each in families]
@@ -101,7 +101,7 @@ def _likeliest(
     return [max(each, key=lambda hypothesis: hypothesis[0]) for each in zip(*hypotheses, strict=True)]
 
 
-def _odds(each: Tested, known: Averaged, others: _Others | None = None) -> float:
+def _odds(each: FamilyTest, known: Averaged, others: _Others | None = None) -> float:
     prior, gain = (1.0, 0.0) if others is None else (others.prior, others.gain)
     return each.family.prior / prior * _bounded_exp(known.evidence - gain)
 

@@ -12,7 +12,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 
-class Principal(NamedTuple):
+class PrincipalAxes(NamedTuple):
     """The eigendecomposition of G (k, k): non-negative eigenvalues (k,), eigenvectors (k, k), and s along them (k,)."""
 
     value: Array
@@ -20,7 +20,7 @@ class Principal(NamedTuple):
     pull: Array
 
 
-def principal(normal: Array, score: Array) -> Principal:
+def principal(normal: Array, score: Array) -> PrincipalAxes:
     """Return the principal axes of a group with G (k, k) and s (k,).
 
     Raises:
@@ -32,10 +32,10 @@ def principal(normal: Array, score: Array) -> Principal:
             raise MagycError("model error: the products of a group of columns are not finite")
     else:
         value, vector = normal[0], np.ones((1, 1))
-    return Principal(np.maximum(value, 0.0), vector, score @ vector)
+    return PrincipalAxes(np.maximum(value, 0.0), vector, score @ vector)
 
 
-def stacked(groups: Sequence[Principal]) -> tuple[Array, Array]:
+def stacked(groups: Sequence[PrincipalAxes]) -> tuple[Array, Array]:
     """Return the values and pulls of all f groups, (f, k) each, padded with zeros."""
     longest = max((len(group.value) for group in groups), default=0)
     value, pull = np.zeros((len(groups), longest)), np.zeros((len(groups), longest))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.component import Component, Tested, moves
+from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, moves
 from magyc_gtsam.estimators.model_error.components import fit_components
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
@@ -22,7 +22,7 @@ _BLOCKS = (slice(0, 6), _HARD_IRON, slice(9, 12))
 _SECOND_ORDER = 0.15
 
 
-class Shown(NamedTuple):
+class JointFit(NamedTuple):
     """The joint fit of the significant families.
 
     Attributes:
@@ -38,20 +38,20 @@ class Shown(NamedTuple):
     normal: Array
     score: Array
     variance: Array
-    found: tuple[tuple[Tested, slice], ...]
+    found: tuple[tuple[FamilyTest, slice], ...]
     stacked: Stacked | None
 
     @property
-    def active(self) -> Iterator[tuple[Tested, slice]]:
+    def active(self) -> Iterator[tuple[FamilyTest, slice]]:
         """The families whose variance is above 0 in the joint fit."""
         return ((each, own) for each, own in self.found if self.variance[own].any())
 
 
-def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Tested]) -> Shown:
+def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[FamilyTest]) -> JointFit:
     """Fit the amplitudes of the families `found` jointly, in the order given."""
     varying = np.zeros((len(beside.estimated.free),) * 2)
     if not found:
-        return Shown(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), (), None)
+        return JointFit(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), (), None)
     stacked = Stacked.of([each.new for each in found])
     normal, groups = stacked.across(stacked), stacked.groups
     each_move = moves(beside, motion, found)
@@ -75,7 +75,7 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
     every = np.concatenate(each_move, axis=1)
     covariance = _to_second_order(every @ fitted.second @ every.T + varying, len(beside.fit.free) > PARAMETERS)
     pairs = tuple(zip(found, groups, strict=True))
-    return Shown(covariance, tuple(components), normal, score, fitted.variance, pairs, stacked)
+    return JointFit(covariance, tuple(components), normal, score, fitted.variance, pairs, stacked)
 
 
 def _to_second_order(covariance: Array, with_skew: bool) -> Array:

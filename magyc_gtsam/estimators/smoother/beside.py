@@ -34,7 +34,7 @@ Make = Callable[[], Columns]
 
 
 @dataclass(frozen=True, eq=False)
-class New:
+class ColumnScore:
     """The score and information matrix of one group of columns outside the model.
 
     The columns themselves are computed again when they are needed (`stacked`), because few groups are.
@@ -67,11 +67,11 @@ class New:
 class ColumnProducts(WhitenedFit):
     """The products of columns with a fit at its minimum."""
 
-    def of(self, columns: Columns) -> New:
+    def of(self, columns: Columns) -> ColumnScore:
         """Return score and information of a group of columns."""
         return self.of_each([lambda: columns])[0]
 
-    def of_each(self, groups: Sequence[Make]) -> list[New]:
+    def of_each(self, groups: Sequence[Make]) -> list[ColumnScore]:
         """Return score and information of each group; groups of the same kind go through the elimination together."""
         result: dict[int, tuple[Array, Array, Array]] = {}
         waiting: dict[object, dict[int, Columns]] = {}
@@ -85,7 +85,7 @@ class ColumnProducts(WhitenedFit):
                 alike.clear()
         for alike in waiting.values():
             result |= self._of_alike(alike)
-        return [New(*result[i], make, self) for i, make in enumerate(groups)]
+        return [ColumnScore(*result[i], make, self) for i, make in enumerate(groups)]
 
     def _of_alike(self, groups: dict[int, Columns]) -> dict[int, tuple[Array, Array, Array]]:
         """Return {key: (G, s, explained)} of groups that are all on the same sensors, or have the same axes."""
@@ -168,11 +168,11 @@ class ColumnProducts(WhitenedFit):
 
         return _Part(border, pull.swapaxes(1, 2).reshape(size, -1), score.T.ravel(), square)
 
-    def move(self, new: New) -> Array:
+    def move(self, new: ColumnScore) -> Array:
         """Return S (P, k) of a group of columns."""
         return self.moves([new])[0][: len(self.fit.free)]
 
-    def moves(self, groups: Sequence[New]) -> list[Array]:
+    def moves(self, groups: Sequence[ColumnScore]) -> list[Array]:
         """Return (p, k) of each group of columns: S, and below it the same for the terms of the model."""
         if not groups:
             return []

@@ -24,7 +24,7 @@ from magyc_gtsam.sensor_faults.cut_off import inside
 class _Limits:
     """When two calibrations are of two instruments."""
 
-    askew: float = float(np.radians(20.0))  # prior standard deviation of the misalignment after a remounting
+    misaligned: float = float(np.radians(20.0))  # prior standard deviation of the misalignment after a remounting
     distance: float = 60.0  # least squared Mahalanobis distance, 12 degrees of freedom: as 36 of 3
     smallest: float = 0.02  # least change of an element of the soft iron, of the hard iron over the field, rad
 
@@ -50,7 +50,7 @@ def instrument_change(
     """
     rows = inside(stretches, recording.time - recording.time[0])
     try:
-        part = calibrate(recording.rows(rows), replace(options, misalignment=_LIMITS.askew))
+        part = calibrate(recording.rows(rows), replace(options, misalignment=_LIMITS.misaligned))
     except MagycError:  # too short, or too little motion
         return ""
     if not part.trusted:

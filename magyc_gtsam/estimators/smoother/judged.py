@@ -14,7 +14,7 @@ from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.estimators.smoother.skew_found import Skew
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.level_turn import Askew
+from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.observability import Assessor, Observability
 from magyc_gtsam.recording import Array, Recording
 
@@ -45,7 +45,7 @@ class Judgement(NamedTuple):
         reasons: reasons not to trust it, beyond observability.
         remark: on the composition of its sigmas.
         diagnostics: JSON types.
-        askew: uncertainty of the misalignment, with the model error; None if it is not estimated.
+        misalignment: uncertainty of the misalignment, with the model error; None if it is not estimated.
     """
 
     soft_iron: Array
@@ -57,7 +57,7 @@ class Judgement(NamedTuple):
     reasons: tuple[str, ...]
     remark: str
     diagnostics: dict[str, Any]
-    askew: Askew | None = None
+    misalignment: MisalignmentError | None = None
 
 
 def judge(
@@ -67,7 +67,7 @@ def judge(
     samples: Streams,
     strength: float | None = None,
     strength_sigma: float = 0.0,
-    named: Askew | None = None,
+    named: MisalignmentError | None = None,
 ) -> Judgement:
     """Assess the posterior of θ.
 
@@ -83,8 +83,8 @@ def judge(
     soft_iron, unit = scale.soft_iron, scale.strength
     covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]
     reported, of_sensors = scale.covariance(covariance[:12, :12]), scale.covariance(sensors[:12, :12])
-    askew = _askew(skew, unit, unexplained.covariance) if named is None else named
-    assessor = Assessor(soft_iron, unit, recording, parameters[6:9], askew)
+    misalignment = _misalignment_error(skew, unit, unexplained.covariance) if named is None else named
+    assessor = Assessor(soft_iron, unit, recording, parameters[6:9], misalignment)
     observability = assessor.of(of_sensors)
     whole = observability
     if unexplained.covariance.any():
@@ -110,12 +110,12 @@ def judge(
         replace(observability, heading_sigma=whole.heading_sigma),
         tuple(filter(None, reasons)),
         remark(unexplained, of_sensors, reported),
-        {"model_error": diagnostics(unexplained)} | _skew_diagnostics(skew, askew),
-        askew,
+        {"model_error": diagnostics(unexplained)} | _skew_diagnostics(skew, misalignment),
+        misalignment,
     )
 
 
-def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | None:
+def _misalignment_error(skew: Skew | None, strength: float, unexplained: Array) -> MisalignmentError | None:
     """Return the misalignment's contribution to the heading error.
 
     `unexplained` (P, P) is the covariance of the model error, which adds to that of ε if ε is part of θ.
@@ -126,12 +126,14 @@ def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | No
     if len(unexplained) > PARAMETERS:
         covariance, cross = covariance + unexplained[SKEW, SKEW], cross + unexplained[:9, SKEW]
     cross[:6] /= strength
-    return Askew(covariance, cross)
+    return MisalignmentError(covariance, cross)
 
 
-def _skew_diagnostics(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
+def _skew_diagnostics(skew: Skew | None, misalignment: MisalignmentError | None) -> dict[str, Any]:
     """Return the misalignment's entry in the diagnostics, as JSON types."""
-    if askew is None:
+    if misalignment is None:
         return {}
     evidence = {} if skew is None else {"evidence": skew.evidence}
-    return {"skew": {**evidence, "covariance": askew.covariance.tolist(), "cross": askew.cross.tolist()}}
+    return {
+        "skew": {**evidence, "covariance": misalignment.covariance.tolist(), "cross": misalignment.cross.tolist()}
+    }

@@ -26,7 +26,7 @@ ENOUGH = "this motion is enough with"  # start of the sentence on facts that com
 _NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
-class Known(NamedTuple):
+class PriorKnowledge(NamedTuple):
     """Prior knowledge from the options.
 
     Attributes:
@@ -43,7 +43,7 @@ class Known(NamedTuple):
     note: str = ""
 
 
-def known_of(options: SmootherOptions) -> Known:
+def known_of(options: SmootherOptions) -> PriorKnowledge:
     """Return the prior knowledge of θ in the options.
 
     Raises:
@@ -51,7 +51,7 @@ def known_of(options: SmootherOptions) -> Known:
     """
     prior = options.prior
     if prior is None:
-        return Known()
+        return PriorKnowledge()
     scale, slope = field_strength(vech(prior.soft_iron))  # ∛det, 1 if no field strength was given
     covariance = _covariance(prior, options)
     shape = vech(prior.soft_iron) / scale
@@ -75,7 +75,7 @@ def known_of(options: SmootherOptions) -> Known:
                 "the strength of the field tells little: the earlier calibration was made without one, so its scale "
                 "is not known; give it the strength or the place as well"
             )
-    return Known(tuple(facts), _skew(prior, options), shape, np.array(prior.hard_iron), note)
+    return PriorKnowledge(tuple(facts), _skew(prior, options), shape, np.array(prior.hard_iron), note)
 
 
 def _scaled(prior: Calibration) -> bool:

@@ -14,7 +14,7 @@ from magyc_gtsam.estimators.smoother import axes, starts
 from magyc_gtsam.estimators.smoother.dip import dip_fact
 from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, PATIENCE, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.heading import heading_fact
-from magyc_gtsam.estimators.smoother.known import Known, known_of
+from magyc_gtsam.estimators.smoother.known import PriorKnowledge, known_of
 from magyc_gtsam.estimators.smoother.minima import apart, close, lowest, positive, same, strength
 from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit, weigh
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
@@ -158,7 +158,7 @@ def fit_field_chain(
     return best, rival
 
 
-def skew_prior(options: SmootherOptions, known: Known) -> SkewPrior | None:
+def skew_prior(options: SmootherOptions, known: PriorKnowledge) -> SkewPrior | None:
     """Return the prior of the misalignment; None if it is fixed at zero."""
     if options.misalignment == 0:
         return None

@@ -207,8 +207,8 @@ def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
     remedy = "calibrate where the field is uniform, away from steel and in one place"
     if np.linalg.norm(angle) > prior.most:
         return (
-            f"the field varies along the way: it would take chips that are {size:.1f}° askew, and boards are within "
-            f"{most:.0f}°; {remedy}, or say that they are (misalignment={np.ceil(size):.0f}°)"
+            f"the field varies along the way: it would take chips that are {size:.1f}° misaligned, and boards are "
+            f"within {most:.0f}°; {remedy}, or say that they are (misalignment={np.ceil(size):.0f}°)"
         )
     count = len(fit.chain.windows)
     if count < _LEAST_SPLIT:
@@ -219,8 +219,8 @@ def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
         return ""
     one, two = (np.degrees(part.value).round(1).tolist() for part in (first, second))
     return (
-        f"the field varies along the way: the first half of the recording shows chips that are askew by {one}° about "
-        f"x, y, z, the second half by {two}°; {remedy}"
+        f"the field varies along the way: the first half of the recording shows chips that are misaligned by {one}° "
+        f"about x, y, z, the second half by {two}°; {remedy}"
     )
 
 

@@ -45,10 +45,10 @@ class Skew:
         sigma = float(np.degrees(np.sqrt(self.value @ self.covariance @ self.value) / np.linalg.norm(self.value)))
         if self.probability < _CERTAIN:
             return (
-                f"the two chips may be askew (probability {self.probability:.0%}): the mean of what they may be, "
+                f"the two chips may be misaligned (probability {self.probability:.0%}): the mean of what they may be, "
                 f"{size:.2f} ± {sigma:.2f}°, is taken out (misalignment)"
             )
-        return f"the two chips are {size:.2f} ± {sigma:.2f}° askew, which is taken out (misalignment)"
+        return f"the two chips are {size:.2f} ± {sigma:.2f}° misaligned, which is taken out (misalignment)"
 
     def undecided(self) -> Skew:
         """Return the estimate without a correction: `value` 0, and the second moment about it."""

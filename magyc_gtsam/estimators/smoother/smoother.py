@@ -185,8 +185,8 @@ def calibration_of(
     noise = fit.chain.noise
     terms: tuple[Term, ...] = ()
     if skew is not None and skew.decided:
-        assert judgement.askew is not None
-        skew = replace(skew, covariance=judgement.askew.covariance)
+        assert judgement.misalignment is not None
+        skew = replace(skew, covariance=judgement.misalignment.covariance)
         terms = (Term("misalignment", -skew.value, skew.covariance),)
         told.insert(1, skew.sentence)
     with_scales: dict[str, Any] = {}

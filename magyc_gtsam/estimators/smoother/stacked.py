@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.beside import New
+from magyc_gtsam.estimators.smoother.beside import ColumnScore
 from magyc_gtsam.factors.chain.rotations import Array
 
 
@@ -31,7 +31,7 @@ class Stacked:
     link: tuple[Array, np.ndarray]
 
     @classmethod
-    def of(cls, groups: Sequence[New]) -> Stacked:
+    def of(cls, groups: Sequence[ColumnScore]) -> Stacked:
         """Stack one group or more of the same fit."""
         edges = np.cumsum([0, *(len(new.score) for new in groups)]).tolist()
         rows = tuple(slice(*pair) for pair in pairwise(edges))

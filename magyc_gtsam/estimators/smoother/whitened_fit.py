@@ -14,8 +14,8 @@ from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.rotations import Array
 
 
-class Left(NamedTuple):
-    """The whitened residual, laid out as a column of `New`.
+class WhitenedResidual(NamedTuple):
+    """The whitened residual, laid out as a column of `ColumnScore`.
 
     Shapes: window (3n,), link (3n − 3,), absorbed (2n,), explained (free,).
     """
@@ -53,7 +53,7 @@ class WhitenedFit:
         return UnitFactor.of(self.fit.reduced.factor)
 
     @cached_property
-    def left(self) -> Left:
+    def left(self) -> WhitenedResidual:
         """The whitened residual."""
         fit = self.fit
         residuals = fit.residuals
@@ -64,7 +64,9 @@ class WhitenedFit:
         pull = own.window.reshape(len(own.free), -1) @ window.ravel() - own.half @ absorbed
         pull[own.linked] += own.link @ link.ravel()
         pull += own.pull
-        return Left(window.ravel(), link.ravel(), absorbed, self.estimated.explained(pull[:, None])[:, 0])
+        return WhitenedResidual(
+            window.ravel(), link.ravel(), absorbed, self.estimated.explained(pull[:, None])[:, 0]
+        )
 
     @cached_property
     def window_scale(self) -> Array:

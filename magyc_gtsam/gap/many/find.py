@@ -13,8 +13,8 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
-from magyc_gtsam.gap.many.result import GapOfMany, Own, SharedEffect, Weight
-from magyc_gtsam.gap.many.told import Added, told
+from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight
+from magyc_gtsam.gap.many.told import AddedEffect, told
 from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh
 from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
@@ -33,8 +33,8 @@ class _State:
     """The state of a search: the logs, the added effects, the logs left out, and the last look."""
 
     logs: tuple[OneLog, ...]
-    added: tuple[Added, ...] = ()
-    own: tuple[Own, ...] = ()
+    added: tuple[AddedEffect, ...] = ()
+    own: tuple[LogLeftOut, ...] = ()
     weighed: tuple[WeighedOverLogs, ...] = ()
     unknown: str = ""
 
@@ -72,14 +72,14 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
     if not len(recordings):
         raise MagycError("mg.find_gap: no recordings; give those of one instrument")
     logs: list[OneLog] = []
-    own: list[Own] = []
+    own: list[LogLeftOut] = []
     known: dict[str, str] = {}  # a copy of a log would count twice
     for k in range(len(recordings)):
         called = f"log {k + 1}"
         try:
             recording = recordings[k]  # a lazy sequence reads it here
         except MagycError as problem:
-            own.append(Own(called, str(problem)))
+            own.append(LogLeftOut(called, str(problem)))
             continue
         expect_recording("mg.find_gap", recording)
         called = recording.name or called
@@ -87,12 +87,12 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
             called = f"{called} ({k + 1})"
         first = known.setdefault(fingerprint(recording), called)
         if first != called:
-            own.append(Own(called, f"the same samples as {first}, which count once"))
+            own.append(LogLeftOut(called, f"the same samples as {first}, which count once"))
             continue
         try:
             logs.append(OneLog.of(recording, names, called))
         except MagycError as problem:
-            own.append(Own(called, str(problem)))
+            own.append(LogLeftOut(called, str(problem)))
         report((k + 1) / len(recordings))
     return _State(tuple(logs), own=tuple(own))
 
@@ -170,7 +170,7 @@ def _alternatives(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
 
 def _without_logs(state: _State, few: np.ndarray, strongest: WeighedOverLogs) -> _State:
     own = tuple(
-        Own(log.name, f"{_missing(strongest.name, [log])}; the log was left out")
+        LogLeftOut(log.name, f"{_missing(strongest.name, [log])}; the log was left out")
         for log, out in zip(state.logs, few, strict=True)
         if out
     )
@@ -193,7 +193,7 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
     """Add the effect to all logs, or to those that have it; leave out logs whose model does not converge with it."""
     instrument = chosen.instrument >= 0.5
     logs: list[OneLog] = []
-    own: list[Own] = []
+    own: list[LogLeftOut] = []
     settings: list[dict[str, float] | None] = []
     present: list[float] = []
     for log, best, probability in zip(state.logs, chosen.best, chosen.present, strict=True):
@@ -211,11 +211,11 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
         try:
             logs.append(log.with_effect(chosen.name, setting, value))
         except MagycError as problem:
-            own.append(Own(log.name, str(problem)))
+            own.append(LogLeftOut(log.name, str(problem)))
             continue
         settings.append(setting)
         present.append(1.0 if instrument else float(probability))
-    one = Added(chosen.name, chosen.nats, chosen.instrument, np.array(present), tuple(settings), rivals)
+    one = AddedEffect(chosen.name, chosen.nats, chosen.instrument, np.array(present), tuple(settings), rivals)
     gone = {each.log for each in own}
     keep = np.array([log.name not in gone for log in state.logs])
     before = tuple(

@@ -66,7 +66,7 @@ class SharedEffect:
 
 
 @dataclass(frozen=True)
-class Own:
+class LogLeftOut:
     """A log that was left out of the comparison, and the reason."""
 
     log: str
@@ -99,7 +99,7 @@ class GapOfMany:
     verdict: Verdict
     sentence: str
     effects: tuple[SharedEffect, ...]
-    own: tuple[Own, ...]
+    own: tuple[LogLeftOut, ...]
     weights: tuple[Weight, ...]
     calibrations: Mapping[str, Calibration]
 

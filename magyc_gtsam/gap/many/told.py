@@ -17,7 +17,7 @@ _FIRST = 4  # logs that a sentence names
 
 
 @dataclass(frozen=True, eq=False)
-class Added:
+class AddedEffect:
     """An effect in the model: probabilities that it is the instrument's and that each log has it, and its settings."""
 
     name: str
@@ -29,7 +29,7 @@ class Added:
 
 
 def told(
-    added: Sequence[Added], logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]
+    added: Sequence[AddedEffect], logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]
 ) -> tuple[SharedEffect, ...]:
     """Return the effects of a search at its end, without those whose logs were all left out later.
 
@@ -41,7 +41,7 @@ def told(
     return tuple(_effect(each, logs, calibrations) for each in added if any(s is not None for s in each.settings))
 
 
-def _effect(each: Added, logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]) -> SharedEffect:
+def _effect(each: AddedEffect, logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]) -> SharedEffect:
     term = TERMS[each.name]
     here = [
         (log, setting, p)
@@ -96,7 +96,7 @@ def _combined(values: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, floa
 
 
 def _sentence(
-    each: Added,
+    each: AddedEffect,
     inside: Sequence[InLog],
     value: Array,
     sigma: Array,

@@ -24,7 +24,7 @@ _FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear te
 _ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
 
 
-class Descended(NamedTuple):
+class Descent(NamedTuple):
     """A twin at its minimum, the covariance (q, q) there, and whether the last step was small."""
 
     twin: Twin
@@ -32,7 +32,7 @@ class Descended(NamedTuple):
     converged: bool
 
 
-def descended(twin: Twin, farthest: float = np.inf) -> Descended:
+def descended(twin: Twin, farthest: float = np.inf) -> Descent:
     """Minimise the cost of a twin over its free parameters and terms.
 
     Args:
@@ -54,13 +54,13 @@ def descended(twin: Twin, farthest: float = np.inf) -> Descended:
         covariance = _inverse(information)
         step = -covariance @ gradient
         if float(step @ information @ step) < _SETTLED:
-            return Descended(twin, covariance, True)
+            return Descent(twin, covariance, True)
         path = [*path[-_REMEMBERED:], (_values_of(twin.model), step)]
         ahead = _advance(twin, _steps(path, information, gradient))
         if ahead is None:
             break
         twin = ahead
-    return Descended(twin, covariance, False)
+    return Descent(twin, covariance, False)
 
 
 def _steps(path: Sequence[tuple[Array, Array]], information: Array, gradient: Array) -> Iterator[Array]:

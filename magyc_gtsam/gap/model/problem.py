@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
-from magyc_gtsam.factors.chain.directions import Bend
+from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -249,11 +249,11 @@ def _added(terms: Sequence[Active], signals: Signals) -> Array:
     )
 
 
-def _bend(bent: Sequence[Active], signals: Signals) -> Bend:
+def _bend(bent: Sequence[Active], signals: Signals) -> LinearisedSensor:
     """Return the linearisation of the non-linear terms at the field of the signals."""
     field = signals.need("field")
     more, less = (_added(bent, replace(signals, field=field + step)) for step in (_NEARBY, -_NEARBY))
-    return Bend(1 + (more - less) / (2 * _NEARBY), field + signals.need("hard_iron")[:, None])
+    return LinearisedSensor(1 + (more - less) / (2 * _NEARBY), field + signals.need("hard_iron")[:, None])
 
 
 def build(

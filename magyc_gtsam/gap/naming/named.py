@@ -32,7 +32,7 @@ from magyc_gtsam.gap.naming.own_time import in_its_own_time
 from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.scores.look import Look
+from magyc_gtsam.gap.scores.look import ScoreTests
 from magyc_gtsam.gap.scores.neighbours import product_of
 from magyc_gtsam.gap.scores.score import Score
 from magyc_gtsam.recording import Recording
@@ -56,14 +56,14 @@ class Named:
 
     recording: Recording
     problem: Problem
-    first: Look
+    first: ScoreTests
     fitted: Refit
     found: tuple[Found, ...]
     leftover: tuple[str, ...]
     probabilities: Mapping[str, float]
 
 
-def named(said: Answer, first: Look, base: Refit, short_term: SensorNoise) -> Named:
+def named(said: Answer, first: ScoreTests, base: Refit, short_term: SensorNoise) -> Named:
     """Name the effects of a recording.
 
     Args:
@@ -181,7 +181,7 @@ def _parts(term: Active, time: Array) -> Iterator[Active]:
             yield replace(term, setting={"time": term.setting[end]}, value=sign * term.value)
 
 
-def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]], first: Look) -> Iterator[Found]:
+def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]], first: ScoreTests) -> Iterator[Found]:
     scores = {score.name: score for score in first.scores}
     for index, term in enumerate(fitted.model.terms[given:], given):
         missing = _without_channel(term.name, fitted.twin)
@@ -198,7 +198,7 @@ def _without_channel(name: str, twin: Twin) -> list[str]:
     return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
 
 
-def _any_change(score: Score, first: Look) -> bool:
+def _any_change(score: Score, first: ScoreTests) -> bool:
     """Return whether other changes explain as much as an effect of which the channel may be missing.
 
     An effect that follows an unrecorded depth or temperature may resemble a passed object where the channel is large,
@@ -209,7 +209,7 @@ def _any_change(score: Score, first: Look) -> bool:
     return any(s.evidence > score.evidence - RULES.ahead for s in changes if not s.name.startswith(own))
 
 
-def _noise(said: Answer, first: Look, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
+def _noise(said: Answer, first: ScoreTests, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
     """Yield the effects on single samples, and correlated noise."""
     scores = [*said.left_out, *(one for one in first.noise if one.name == "quantisation")]
     if stated.get(COLOUR, 0.0) > PRIOR.named_from:

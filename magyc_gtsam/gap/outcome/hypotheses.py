@@ -13,12 +13,12 @@ from magyc_gtsam.gap.outcome.described import IN_TESLA
 from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.scores.look import Look
+from magyc_gtsam.gap.scores.look import ScoreTests
 from magyc_gtsam.gap.scores.score import Score
 
 
 def hypotheses(
-    look: Look,
+    look: ScoreTests,
     names: Sequence[str],
     found: Sequence[Found],
     word: Verdict,
@@ -47,7 +47,7 @@ def hypotheses(
 
 
 def _hypothesis(
-    score: Score, look: Look, named: set[str], rivals: set[str], probabilities: Mapping[str, float]
+    score: Score, look: ScoreTests, named: set[str], rivals: set[str], probabilities: Mapping[str, float]
 ) -> Hypothesis:
     term = TERMS.get(score.name)
     power = score.power(look.refit.twin) if term else 1.0

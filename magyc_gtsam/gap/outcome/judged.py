@@ -23,7 +23,7 @@ from magyc_gtsam.gap.model.descent import prior_of
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.result import Doubt
-from magyc_gtsam.level_turn import Askew
+from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.recording import Recording
 
 _SKEW = "misalignment"  # the term that is the skew of the chips, which is then not estimated a second time
@@ -50,7 +50,7 @@ def judged(
         sensors += fit.skew.gain @ fit.skew.covariance @ fit.skew.gain.T
     known, error = Posterior(model.parameters, sensors, fit.skew), model_error(fit, recording)
     unit = IronScale.of(unvech(model.parameters[:6]), strength).strength
-    judgement = judge(known, error, recording, recording, strength, named=_askew(result, error, unit))
+    judgement = judge(known, error, recording, recording, strength, named=_misalignment_error(result, error, unit))
     observability = judgement.observability
     reasons, doubt = list(judgement.reasons), None
     if reasons:
@@ -75,7 +75,7 @@ def judged(
     return whole, doubt
 
 
-def _askew(result: Refit, error: ModelError, strength: float) -> Askew | None:
+def _misalignment_error(result: Refit, error: ModelError, strength: float) -> MisalignmentError | None:
     """Return the uncertainty of a misalignment that is a term of the model, by the sensors and by the model error."""
     model = result.model
     index = next((i for i, term in enumerate(model.terms) if term.name == _SKEW), None)
@@ -87,7 +87,9 @@ def _askew(result: Refit, error: ModelError, strength: float) -> Askew | None:
     cross[model.free] += result.covariance[:count, rows]
     cross = -cross[:9]  # the term turns the gyroscope, ε the magnetometer
     cross[:6] /= strength
-    return Askew(result.covariance[np.ix_(rows, rows)] + error.of_terms[PARAMETERS + own][:, own], cross)
+    return MisalignmentError(
+        result.covariance[np.ix_(rows, rows)] + error.of_terms[PARAMETERS + own][:, own], cross
+    )
 
 
 def _widened_terms(

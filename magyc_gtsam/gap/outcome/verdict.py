@@ -12,13 +12,15 @@ from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.preparation.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.look import Look
+from magyc_gtsam.gap.scores.look import ScoreTests
 from magyc_gtsam.gap.scores.neighbours import label_of, product_of
 
 _SPELLED = 3  # effects that a sentence names
 
 
-def verdict(effects: Sequence[Effect], left: Sequence[str], first: Look, catalogue: str) -> tuple[Verdict, str]:
+def verdict(
+    effects: Sequence[Effect], left: Sequence[str], first: ScoreTests, catalogue: str
+) -> tuple[Verdict, str]:
     """Return the verdict in one word, and in one sentence for a navigator.
 
     Args:
@@ -58,7 +60,7 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
     return "; ".join(parts) or "every relevant value of the tested effects would have been detected"
 
 
-def place_of(left: Sequence[str], first: Look) -> str:
+def place_of(left: Sequence[str], first: ScoreTests) -> str:
     """Return the variable that what remains depends on, in words."""
     names = set(left)
     for score in first.scores:
@@ -77,7 +79,7 @@ def missing(name: str, place: str) -> str:
     return "an effect that follows no logged variable is missing"
 
 
-def _place(left: Sequence[str], first: Look, catalogue: str) -> str:
+def _place(left: Sequence[str], first: ScoreTests, catalogue: str) -> str:
     """Return the same with the reason why it has no name."""
     if CLOCK_DRIFT in left:
         return APART
@@ -85,7 +87,9 @@ def _place(left: Sequence[str], first: Look, catalogue: str) -> str:
     return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
 
 
-def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
+def manoeuvre(
+    look: ScoreTests, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]
+) -> Manoeuvre | None:
     """Return the next manoeuvre.
 
     Its motion determines an effect that is named only, distinguishes an effect from its rivals, or makes effects

@@ -22,7 +22,7 @@ from magyc_gtsam.gap.model.variants import Variant
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
-from magyc_gtsam.gap.scores.look import Look, look
+from magyc_gtsam.gap.scores.look import ScoreTests, look
 from magyc_gtsam.gap.scores.null import quantile, surprises
 from magyc_gtsam.gap.scores.score import Score
 from magyc_gtsam.recording import Recording
@@ -53,7 +53,7 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
     return (*terms, *noise_isolability(recording, noise.magnetometer))
 
 
-def _named_only(now: Look) -> Look:
+def _named_only(now: ScoreTests) -> ScoreTests:
     """Return a look at the named effects only, without score bias."""
     scores = [
         replace(s, variants=tuple(replace(v, offset=np.zeros_like(v.offset)) for v in s.variants))
@@ -63,7 +63,7 @@ def _named_only(now: Look) -> Look:
     return replace(now, scores=scores)
 
 
-def _row(term: EffectTerm, score: Score, now: Look, random: np.random.Generator) -> Isolability:
+def _row(term: EffectTerm, score: Score, now: ScoreTests, random: np.random.Generator) -> Isolability:
     typical = score.variants[len(score.variants) // 2]
     shown = term.scale / float(np.median(term.deviations(now.refit.twin, typical.setting)))
     seen = _seen(term, typical, now, random)
@@ -91,7 +91,7 @@ def _row(term: EffectTerm, score: Score, now: Look, random: np.random.Generator)
     )
 
 
-def _seen(term: EffectTerm, one: Variant, now: Look, random: np.random.Generator) -> Array:
+def _seen(term: EffectTerm, one: Variant, now: ScoreTests, random: np.random.Generator) -> Array:
     """Return scores (directions, r) of values of length 1, without the part that the motion does not determine."""
     values = random.standard_normal((_DIRECTIONS, len(one.columns)))
     values /= np.linalg.norm(values, axis=1)[:, None]
@@ -118,7 +118,7 @@ def _found_from(seen: Array, score: Score) -> float:
     )
 
 
-def _confused(name: str, signatures: Array, now: Look, random: np.random.Generator) -> dict[str, float]:
+def _confused(name: str, signatures: Array, now: ScoreTests, random: np.random.Generator) -> dict[str, float]:
     """Return the other names that explain an effect as well as the best, with their share of the trials.
 
     Only names above `RULES.confused` are returned, the most frequent first.
@@ -140,7 +140,7 @@ def _confused(name: str, signatures: Array, now: Look, random: np.random.Generat
     }
 
 
-def _trials(now: Look, innovations: Array) -> list[Look]:
+def _trials(now: ScoreTests, innovations: Array) -> list[ScoreTests]:
     """Return looks with other innovations (trials, 3n)."""
     scores = zip(*(_rescored(score, innovations) for score in now.scores), strict=True)
     return [

@@ -20,7 +20,7 @@ NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class ScoreTests:
     """The score tests of a model, strongest first. Tests of single samples are computed on demand."""
 
     recording: Recording
@@ -44,7 +44,7 @@ class Look:
         return noise_scores(self.recording, self.fine, NOISE_LIMIT)
 
 
-def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: np.random.Generator) -> Look:
+def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: np.random.Generator) -> ScoreTests:
     """Test all candidates against a model."""
     scores, innovation, _ = scan(refitted.twin, names, random)
-    return Look(recording, refitted, scores, innovation)
+    return ScoreTests(recording, refitted, scores, innovation)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.simulation.effects import electronics, field, foreign, gyroscope, iron, reading
 from magyc_gtsam.simulation.effects.strengths import FOREIGN_STRENGTHS, NAMED_STRENGTHS, STRENGTHS, Strength
-from magyc_gtsam.simulation.scene import Chosen, SimulatedEffect
+from magyc_gtsam.simulation.scene import RequestedEffect, SimulatedEffect
 
 NAMED: tuple[str, ...] = tuple(NAMED_STRENGTHS)
 FOREIGN: tuple[str, ...] = tuple(FOREIGN_STRENGTHS)
@@ -23,7 +23,7 @@ EFFECTS: dict[str, SimulatedEffect] = {
 __all__ = ["EFFECTS", "FOREIGN", "NAMED", "STRENGTHS", "Strength", "chosen"]
 
 
-def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen]:
+def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[RequestedEffect]:
     """Return the requested effects with their sizes.
 
     Raises:
@@ -31,7 +31,7 @@ def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen
     """
     if isinstance(effects, str):
         raise MagycError(f"effects: a list of names is needed, got {effects!r}; give [{effects!r}]")
-    result: list[Chosen] = []
+    result: list[RequestedEffect] = []
     for item in effects:
         name, factor = (item, 1.0) if isinstance(item, str) else (item[0], float(item[1]))
         if name not in EFFECTS:
@@ -41,5 +41,5 @@ def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen
         if not 0 < factor < float("inf"):
             raise MagycError(f"effects: factor of {name!r} must be finite and above 0, got factor {factor:g}")
         strength = STRENGTHS[name]
-        result.append(Chosen(name, EFFECTS[name], factor, factor * strength.size, strength.unit, seed))
+        result.append(RequestedEffect(name, EFFECTS[name], factor, factor * strength.size, strength.unit, seed))
     return result

@@ -180,7 +180,7 @@ def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
 
 
 def covered(rows: Iterable[Mapping[str, Any]]) -> SigmaCoverage | None:
-    """Return the coverage over faults that resemble askew chips; None without any.
+    """Return the coverage over faults that resemble misaligned chips; None without any.
 
     Untrusted results count as well, since the stated sigma must cover such faults.
     """

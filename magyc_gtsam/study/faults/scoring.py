@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.level_turn import Askew, LevelTurn
+from magyc_gtsam.level_turn import LevelTurn, MisalignmentError
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import FIELD, GYRO_BIAS, HARD_IRON, SOFT_IRON
 
@@ -134,5 +134,5 @@ def _heading(calibration: Calibration, covariance: Array, body_R_sensor: Array, 
     )
     ahead, left, _ = body_R_sensor  # the body's axes in those of the sensor
     turn = LevelTurn(np.degrees(angle), scale * body @ body_R_sensor, ahead, left, dip, "the body's z axis")
-    stated = turn.systematic(covariance, calibration.soft_iron, Askew.of(calibration.diagnostics))
+    stated = turn.systematic(covariance, calibration.soft_iron, MisalignmentError.of(calibration.diagnostics))
     return error, np.maximum(stated, 1e-6)

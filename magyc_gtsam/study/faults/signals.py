@@ -81,7 +81,8 @@ class Fault:
             `LoggedSamples`).
         change: (value, motion, strength, random) → the changed value.
         weak, strong: strengths, in `unit`.
-        shows: whether data without the cause's own channel show it on every motion; if not, it resembles askew chips.
+        shows: whether data without the cause's own channel show it on every motion; if not, it resembles misaligned
+            chips.
         rate: rate of the log, Hz.
         turns: whether it rotates the axes of the gyroscope, which are the body's.
     """

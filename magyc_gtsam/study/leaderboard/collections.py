@@ -84,7 +84,7 @@ _NAMED = {  # renamed files; their hard iron is that of this person's walks
 
 
 @dataclass(frozen=True)
-class Kind:
+class RecordingKind:
     """Collection, unit and role of a recording.
 
     Attributes:
@@ -98,7 +98,7 @@ class Kind:
     judges: bool
 
 
-def kind_of(name: str) -> Kind | None:
+def kind_of(name: str) -> RecordingKind | None:
     """Return the kind of a recording from its file name without suffix; None if its unit is unknown.
 
     The hard iron of the Nexus 5 moved by 20 µT between the days of two persons, so that these count as two units;
@@ -106,15 +106,15 @@ def kind_of(name: str) -> Kind | None:
     """
     if name in _NAMED:
         unit, judges = _NAMED[name]
-        return Kind(PHONES, unit, judges)
+        return RecordingKind(PHONES, unit, judges)
     walk = _WALK.match(name)
     if walk is not None:
         person, model, disturbed = walk.groups()
         unit = f"phone {model}" + (f" {person}" if model == "Nexus5" else "")
-        return Kind(PHONES, unit, disturbed == "NoDist")
+        return RecordingKind(PHONES, unit, disturbed == "NoDist")
     trial = _TRIAL.match(name)
     if trial is None:
         return None
     unit = next((unit for unit, trials in BROAD_UNITS.items() if int(trial[1]) in trials), "")
     judges = ("_undisturbed_" in name or name.endswith("_rotation")) and "_translation" not in name
-    return Kind(BROAD, f"BROAD {unit}", judges) if unit else None
+    return RecordingKind(BROAD, f"BROAD {unit}", judges) if unit else None

@@ -17,7 +17,7 @@ MARGIN = (
 
 
 @dataclass(frozen=True)
-class Standing:
+class MethodStanding:
     """One method over the pairs (calibrated on one recording, judged on another of the unit) of one collection.
 
     Attributes:
@@ -76,7 +76,7 @@ def pairs_of(rows: Iterable[Row]) -> list[Pair]:
     return pairs
 
 
-def standings(rows: Sequence[Row]) -> list[Standing]:
+def standings(rows: Sequence[Row]) -> list[MethodStanding]:
     """Return the standings of one collection: the optics' floor, as delivered, then the methods by heading."""
     pairs = pairs_of(rows)
     before = {(p.calibrated_on, p.judged_on): p.heading for p in pairs if p.method == DELIVERED}
@@ -92,7 +92,7 @@ def _standing(
     pairs: Sequence[Pair],
     before: Mapping[tuple[str, str], float],
     least: Mapping[tuple[str, str], float],
-) -> Standing:
+) -> MethodStanding:
     own = [row for row in rows if row["method"] == name]
     mine = [pair for pair in pairs if pair.method == name]
     counted = [pair for pair in mine if pair.trusted]
@@ -102,7 +102,7 @@ def _standing(
     def ratio(pair: Pair, to: Mapping[tuple[str, str], float]) -> float:
         return pair.heading / to[pair.calibrated_on, pair.judged_on]
 
-    return Standing(
+    return MethodStanding(
         name,
         len(own),
         sum(row["status"] == OutcomeStatus.TRUSTED.value for row in own),
