@@ -14,12 +14,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from season import SeasonPlan, dive_factors, draw_season
 
 import magyc_gtsam as mg
 from magyc_gtsam.history import History
 from magyc_gtsam.history.coordinates import shape_of, soft_iron_of
 from magyc_gtsam.history.log_factor import HARD_IRON, SCALE, compress, factor_of
-from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
 
 
 def seasons(count: int) -> None:

@@ -61,8 +61,11 @@ class LevelTurn:
 
     def raw_error(self, soft_iron: Array, hard_iron: Array) -> Array:
         """Return the heading error (n,) deg of the uncalibrated compass."""
-        raw = self.field @ soft_iron.T + hard_iron
-        angle = np.arctan2(raw @ self.left, raw @ self.ahead) - np.radians(self.heading)
+        return self.error(self.field @ soft_iron.T + hard_iron)
+
+    def error(self, field: Array) -> Array:
+        """Return the heading error (n,) deg of a field (n, 3) that is measured on this turn."""
+        angle = np.arctan2(field @ self.left, field @ self.ahead) - np.radians(self.heading)
         return cast(Array, np.degrees(np.angle(np.exp(1j * angle))))
 
     def systematic(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,9 @@ from magyc_gtsam.history import History
 from magyc_gtsam.history.chain import Observations, solve
 from magyc_gtsam.history.coordinates import shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.history.log_factor import LogFactor, compress
-from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from season import SeasonPlan, dive_factors, draw_season
 
 SEASONS = 7
 

@@ -65,14 +65,15 @@ def test_boards_are_drawn_as_they_are_believed_to_be():
 
 def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not(tmp_path):
     from magyc_gtsam.study.known import KnownCase, fact_cells, known_rows, matrix_cell, skew_cells
+    from magyc_gtsam.study.rows import Running
 
     pytest.importorskip("pyarrow")
     units = [KnownCase("skew", "wide", 0.7, seed) for seed in range(2)]
     units += [KnownCase("board", "wide", 0.0, seed) for seed in range(2)]
     units += [KnownCase("fact", "level", 300.0, seed) for seed in range(1)]
     units += [KnownCase("matrix", "wide", 1.0, 0)]
-    rows = known_rows(units, tmp_path)
-    assert known_rows(units, tmp_path) == rows  # taken from the parts
+    rows = known_rows(units, Running(tmp_path))
+    assert known_rows(units, Running(tmp_path)) == rows  # taken from the parts
     cells = skew_cells("wide", 0.7, rows)
     assert cells["asked"].decided == 1.0
     assert cells["never"].heading > 4 * cells["asked"].heading

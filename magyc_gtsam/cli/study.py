@@ -123,7 +123,7 @@ def run(
         str,
         typer.Option(
             metavar="local|tcp://…",
-            help="This machine, or a dask.distributed cluster; for the papers' studies, duration and leaderboard.",
+            help="This machine, or a Dask cluster; for the papers' studies, known, duration and leaderboard.",
         ),
     ] = "local",
     folder: Annotated[
@@ -162,7 +162,7 @@ def run(
     if study is Study.EFFICIENCY:
         _efficiency(runs, disturbed, noise, first_seed)
     elif study is Study.KNOWN:
-        _known(output or Path("results/known"), range(first_seed, first_seed + runs), workers)
+        _known(output or Path("results/known"), range(first_seed, first_seed + runs), engine, workers)
     elif study is Study.LEADERBOARD:
         from magyc_gtsam.cli.study_leaderboard import leaderboard
 
@@ -238,12 +238,14 @@ def _efficiency(runs: int, disturbed: float, gyroscope_noise: float, first_seed:
     show("aligned: the chips are known to be aligned (misalignment=0)", "")
 
 
-def _known(folder: Path, seeds: range, workers: int) -> None:
+def _known(folder: Path, seeds: range, engine: str, workers: int) -> None:
     """Show errors and NEES by skew of the chips, and by prior knowledge."""
     from magyc_gtsam.study import known
+    from magyc_gtsam.study.rows import Running
 
     with stages() as stage:
-        rows = known.known_rows(known.units(seeds), folder, workers, stage(f"{len(seeds)} runs a cell"))
+        running = Running(folder, engine, workers, stage(f"{len(seeds)} runs a cell"))
+        rows = known.known_rows(known.units(seeds), running)
     table = []
     for motion in known.MOTIONS:
         for skew in (*known.SKEWS, None):

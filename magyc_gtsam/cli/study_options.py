@@ -23,7 +23,7 @@ _USED_BY = {
     "draw": ("faults",),
     "first_seed": ("efficiency", "faults", "known"),
     "workers": ("gap", "faults", "known", "duration", "leaderboard", *_PAPERS),
-    "engine": ("duration", "leaderboard", *_PAPERS),
+    "engine": ("known", "duration", "leaderboard", *_PAPERS),
     "folder": ("leaderboard",),
     "base_url": ("leaderboard",),
     "method": ("leaderboard",),

@@ -16,6 +16,7 @@ import numpy as np
 from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.heading_uncertainty import turn_of
+from magyc_gtsam.level_turn import calibrated
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import simulate
 from magyc_gtsam.study.rows import HERE, Running, study_rows
@@ -74,14 +75,12 @@ def worked(unit: DurationCase) -> Row:
     row: dict[str, list[float]] = {name: [] for name in ("minutes", "error", "hard_iron", "stated", "refused")}
     for minutes in MINUTES:
         calibration = calibrate(whole.between(0, 60 * minutes))
-        field = (raw - calibration.hard_iron) @ np.linalg.inv(calibration.soft_iron).T
-        angle = np.arctan2(field @ turn.left, field @ turn.ahead)
-        away = np.angle(np.exp(1j * (angle - np.arctan2(turn.field @ turn.left, turn.field @ turn.ahead))))
+        off = turn.error(calibrated(raw, calibration.soft_iron, calibration.hard_iron))
         stated = np.full(1, np.nan)
         if calibration.covariance is not None:
             stated = turn.systematic(calibration.covariance, calibration.soft_iron)
         row["minutes"].append(minutes)
-        row["error"].append(float(np.degrees(np.sqrt(np.mean(away**2))) ** 2))
+        row["error"].append(float(np.mean(off**2)))
         row["hard_iron"].append(float(np.mean((calibration.hard_iron - truth.hard_iron) ** 2)))
         row["stated"].append(float(np.mean(stated**2)))
         row["refused"].append(float(not calibration.trusted))

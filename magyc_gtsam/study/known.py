@@ -11,22 +11,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.engine import Progress, Row, run_many, write_rows
+from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.heading_uncertainty import turn_of
+from magyc_gtsam.level_turn import calibrated
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import Simulation, simulate
 from magyc_gtsam.simulation.sensor import SOFT_IRON
 from magyc_gtsam.study.efficiency import FREEDOMS, error, nees
 from magyc_gtsam.study.known_facts import FACTS, fact_row, matrix_row
+from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 SKEWS = (0.0, 0.2, 0.7, 1.5)  # deg
 MOTIONS = ("wide", "moderate", "low", "tiny", "level")
@@ -87,11 +88,6 @@ class KnownCase(NamedTuple):
     size: float
     seed: int
 
-    @property
-    def name(self) -> str:
-        """The name of its row."""
-        return f"{self.kind}-{self.motion}-{self.size:g}-{self.seed}"
-
 
 def skewed(motion: str, degrees: float, seed: int) -> Simulation:
     """Return a simulation of chips misaligned in a random direction; the truth has the symmetric soft iron."""
@@ -123,11 +119,8 @@ def heading_error(simulation: Simulation, degrees: float, seed: int, calibration
     back = np.eye(3)
     for term in calibration.terms:
         back = exponential_matrices(term.value[:, None])[:, :, 0]
-    field = (raw - calibration.hard_iron) @ np.linalg.inv(calibration.soft_iron).T @ back.T
-    angle = np.arctan2(field @ turn.left, field @ turn.ahead) - np.arctan2(
-        turn.field @ turn.left, turn.field @ turn.ahead
-    )
-    return float(np.degrees(np.sqrt(np.mean(np.angle(np.exp(1j * angle)) ** 2))))
+    off = turn.error(calibrated(raw, calibration.soft_iron, calibration.hard_iron) @ back.T)
+    return float(np.sqrt(np.mean(off**2)))
 
 
 def units(seeds: Iterable[int], kinds: Iterable[str] = ("skew", "board", "fact", "matrix")) -> list[KnownCase]:
@@ -141,22 +134,9 @@ def units(seeds: Iterable[int], kinds: Iterable[str] = ("skew", "board", "fact",
     return [KnownCase(kind, *cell, seed) for seed in seeds for kind in kinds for cell in cells[kind]]
 
 
-def known_rows(
-    chosen: Sequence[KnownCase], folder: Path | None = None, workers: int = 1, progress: Progress | None = None
-) -> dict[KnownCase, Row]:
-    """Return the rows of all units. With a folder, write them to `known.parquet` and continue an interrupted run.
-
-    Raises:
-        MagycError: a folder is given and the extra `parquet` is not installed.
-    """
-    parts = None if folder is None else folder / "parts"
-    found = run_many(worked, {unit.name: unit for unit in chosen}, workers=workers, parts=parts, progress=progress)
-    rows = {unit: found[unit.name] for unit in chosen}
-    if folder is not None:
-        names = sorted({name for row in rows.values() for name in row})
-        table = [unit._asdict() | {name: row.get(name) for name in names} for unit, row in rows.items()]
-        write_rows(folder / "known.parquet", table)
-    return rows
+def known_rows(chosen: Sequence[KnownCase], running: Running = HERE) -> list[Row]:
+    """Return one row per unit."""
+    return study_rows("known", worked, chosen, running)
 
 
 def worked(unit: KnownCase) -> Row:
@@ -166,7 +146,7 @@ def worked(unit: KnownCase) -> Row:
     else:
         row = {"fact": fact_row, "matrix": matrix_row}[unit.kind]
         found = row(unit.motion, unit.size, unit.seed)
-    return {f"{way} {name}": value for way, numbers in found.items() for name, value in numbers.items()}
+    return {f"{way} {name}": [value] for way, numbers in found.items() for name, value in numbers.items()}
 
 
 def _skew_row(unit: KnownCase) -> dict[str, Row]:
@@ -189,7 +169,7 @@ def _skew_row(unit: KnownCase) -> dict[str, Row]:
     return rows
 
 
-def skew_cells(motion: str, degrees: float | None, rows: Mapping[KnownCase, Row]) -> dict[str, SkewCell]:
+def skew_cells(motion: str, degrees: float | None, rows: Sequence[Row]) -> dict[str, SkewCell]:
     """Return {way of `WAYS`: result} of one misalignment, or with None of boards drawn from the prior."""
     mean = _means(rows, "board", motion, 0.0) if degrees is None else _means(rows, "skew", motion, degrees)
     return {
@@ -205,13 +185,13 @@ def skew_cells(motion: str, degrees: float | None, rows: Mapping[KnownCase, Row]
     }
 
 
-def fact_cells(motion: str, duration: float, rows: Mapping[KnownCase, Row]) -> dict[str, FactCell]:
+def fact_cells(motion: str, duration: float, rows: Sequence[Row]) -> dict[str, FactCell]:
     """Return {prior knowledge of `FACTS`: result}, with aligned chips."""
     mean = _means(rows, "fact", motion, duration)
     return {way: _fact_cell(way, mean) for way in FACTS}
 
 
-def matrix_cell(motion: str, percent: float, rows: Mapping[KnownCase, Row]) -> FactCell:
+def matrix_cell(motion: str, percent: float, rows: Sequence[Row]) -> FactCell:
     """Return the result with a wrong earlier matrix."""
     return _fact_cell("wrong", _means(rows, "matrix", motion, percent))
 
@@ -222,8 +202,8 @@ def _fact_cell(way: str, mean: Callable[[str], float]) -> FactCell:
     return FactCell(error, bound, stated, ratio, of_sensors, refused)
 
 
-def _means(rows: Mapping[KnownCase, Row], kind: str, motion: str, size: float) -> Callable[[str], float]:
-    chosen = [row for unit, row in rows.items() if (unit.kind, unit.motion, unit.size) == (kind, motion, size)]
+def _means(rows: Sequence[Row], kind: str, motion: str, size: float) -> Callable[[str], float]:
+    chosen = [row for row in rows if (row["kind"], row["motion"], row["size"]) == (kind, motion, size)]
     return lambda name: float(np.mean([row[name] for row in chosen]))
 
 

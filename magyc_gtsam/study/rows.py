@@ -31,7 +31,8 @@ def study_rows(name: str, work: Callable[[Any], Row], units: Iterable[Any], runn
 
     Args:
         name: name of the study.
-        work: a module-level function that takes a unit and returns {column: list}, one entry per row.
+        work: a module-level function that takes a unit and returns {column: list}, one entry per row; a column that
+            it leaves out is None.
         units: named tuples that determine a unit's rows; their fields become columns, too.
         running: execution of the study.
 
@@ -51,6 +52,8 @@ def study_rows(name: str, work: Callable[[Any], Row], units: Iterable[Any], runn
             continue
         count = max(len(values) for values in columns.values())
         rows += [unit._asdict() | {column: values[i] for column, values in columns.items()} for i in range(count)]
+    names = dict.fromkeys(column for row in rows for column in row)
+    rows = [{column: row.get(column) for column in names} for row in rows]
     if running.folder is not None:
         write_rows(running.folder / f"{name}.parquet", rows)
     return rows
