@@ -9,6 +9,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.estimators.magyc.derivative_windows import GAUSS, derivative_windows, form_windows
 from magyc_gtsam.estimators.magyc.estimate_history import EstimateHistory
 from magyc_gtsam.estimators.magyc.graph import MagycGraph
+from magyc_gtsam.estimators.magyc.options import IncrementalOptions
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.runners import Status
 from magyc_gtsam.simulation import disturb, simulate
@@ -31,7 +32,7 @@ def windows_of(recording):
 def test_compressed_gives_every_estimate_of_the_published_graph(wide, optimizer, prior):
     """Over the renewals of iSAM2 and from the first window that determines anything."""
     compressed, published = (
-        MagycGraph(compressed=each, optimizer=optimizer, prior=prior) for each in (True, False)
+        MagycGraph(IncrementalOptions(compressed=each, optimizer=optimizer, prior=prior)) for each in (True, False)
     )
     determined = 0
     for window in windows_of(wide.recording.between(0, 80)):
@@ -91,11 +92,11 @@ def test_the_history_of_a_long_mission_stays_small():
 @pytest.mark.parametrize("compressed", [True, False])
 def test_saved_at_any_window_it_goes_on_bit_for_bit(wide, compressed):
     windows = windows_of(wide.recording)[: 80 if compressed else 68]
-    whole = MagycGraph(compressed=compressed)
+    whole = MagycGraph(IncrementalOptions(compressed=compressed))
     for window in windows:
         whole.add(*window)
     for cut in (0, 2, 5, 63, 64, 65, 79) if compressed else (64,):
-        first, second = (MagycGraph(compressed=compressed) for _ in range(2))
+        first, second = (MagycGraph(IncrementalOptions(compressed=compressed)) for _ in range(2))
         for window in windows[:cut]:
             first.add(*window)
         second.restore({name: value.copy() for name, value in first.saved().items()})

@@ -39,6 +39,7 @@ _METHODS = {
         "Rodríguez-Martínez and Troni, MAGYC, section III-C",
         ("angular_rate",),
         "magyc_gtsam.estimators.magyc.magyc_ifg:calibrate_magyc_ifg",
+        "magyc_gtsam.estimators.magyc.options:IncrementalOptions",
     ),
     "magfactor3": Method(
         "least squares on GTSAM's MagFactor3: known attitude, unknown hard iron and one scale for all axes",

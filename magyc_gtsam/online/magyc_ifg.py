@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.magyc.derivative_windows import (
     LEAST_WINDOWS,
-    check_length,
     form_windows,
     window_index,
 )
 from magyc_gtsam.estimators.magyc.graph import MagycGraph
-from magyc_gtsam.estimators.magyc.magyc_ifg import check_estimate
-from magyc_gtsam.estimators.magyc.state import Prior, calibration_of
+from magyc_gtsam.estimators.magyc.options import IncrementalOptions
+from magyc_gtsam.estimators.magyc.state import calibration_of
 from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
-from magyc_gtsam.runners.isam import Method
 
 _WAITING = 60.0  # s of samples of one sensor that are kept while the other is silent
 _VISITED = 512  # samples kept as representatives of the whole mission
@@ -30,40 +28,16 @@ _STILL = 0.5  # share of the limits by which a settled estimate may differ from 
 
 
 class IncrementalMagyc:
-    """The engine of `OnlineCalibrator(method="magyc-ifg")`.
+    """The engine of `OnlineCalibrator(method="magyc-ifg")`; `chosen` are `IncrementalOptions`.
 
-    Args:
-        field_strength, robust, optimizer, prior, window, compressed, estimate, residual_sigma, prior_sigma: as in
-            `calibrate_magyc_ifg`. With `compressed=False` time and memory grow with the mission.
-
-    Raises:
-        MagycError: an option is invalid.
+    With `compressed=False` time and memory grow with the mission.
     """
 
-    def __init__(
-        self,
-        *,
-        field_strength: float | None = None,
-        robust: str | None = None,
-        optimizer: Method = "dogleg",
-        prior: Prior = "norm",
-        window: float = 1.0,
-        compressed: bool = True,
-        estimate: Literal["mean", "current"] = "mean",
-        residual_sigma: float = 1e-3,
-        prior_sigma: float = 1e-2,
-    ) -> None:
-        check_length(window)
-        check_estimate(estimate)
-        self._graph = MagycGraph(
-            compressed=compressed,
-            optimizer=optimizer,
-            prior=prior,
-            residual_sigma=residual_sigma,
-            prior_sigma=prior_sigma,
-            robust=robust,
-        )
-        self._window, self._estimate, self._field_strength = window, estimate, field_strength
+    options = frozenset(IncrementalOptions.__dataclass_fields__)
+
+    def __init__(self, **chosen: Any) -> None:
+        self._graph = MagycGraph(IncrementalOptions(**chosen))
+        self._window = self._graph.options.window
         self._waiting = (GrowingRows(4), GrowingRows(4))  # samples of windows still open: time, value
         self._begun, self._last = np.full(2, np.nan), np.full(2, -np.inf)  # first and last stamp of each sensor
         self._closed = -np.inf  # number of the first window still open
@@ -71,8 +45,6 @@ class IncrementalMagyc:
         self._every, self._windows = 1, 0  # one representative per `_every` windows; number of windows
         self._cached: Calibration | None = None
         self._fresh = False
-
-    options = frozenset(__init__.__kwdefaults__ or {})
 
     def update(self, magnetometer: Samples, gyroscope: Samples) -> None:
         """See `Engine.update`."""
@@ -121,7 +93,7 @@ class IncrementalMagyc:
 
     def _calibration(self) -> Calibration | None:
         graph = self._graph
-        parameters = graph.mean() if self._estimate == "mean" else graph.current()
+        parameters = graph.estimate()
         if parameters is None or len(self._visited) < LEAST_WINDOWS:
             return None
         updated = graph.result.updated
@@ -132,10 +104,9 @@ class IncrementalMagyc:
             method="magyc-ifg",
             message=graph.message,
             converged=updated,
-            field_strength=self._field_strength,
+            field_strength=graph.options.field_strength,
             diagnostics={"status": str(graph.result.status), "windows": len(graph)},
-            configuration=graph.configuration
-            | {"window": self._window, "estimate": self._estimate, "field_strength": self._field_strength},
+            configuration=graph.options.configuration,
         )
 
     def converged(self) -> bool:

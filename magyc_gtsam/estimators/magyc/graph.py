@@ -8,21 +8,20 @@ residuals (7) exactly and is replaced at every update: time and memory stay cons
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import gtsam
 import numpy as np
 
 from magyc_gtsam.estimators.magyc.derivative_windows import LEAST_WINDOWS
 from magyc_gtsam.estimators.magyc.estimate_history import EstimateHistory
-from magyc_gtsam.estimators.magyc.state import KEYS, NAMES, MagycState, Prior, initial_values, scale_prior
+from magyc_gtsam.estimators.magyc.options import IncrementalOptions
+from magyc_gtsam.estimators.magyc.state import KEYS, NAMES, MagycState, initial_values, scale_prior
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative, gyro_derivative_factor
 from magyc_gtsam.recording import Array
 from magyc_gtsam.runners.convergence import IncrementalResult
 from magyc_gtsam.runners.incremental import Incremental
-from magyc_gtsam.runners.isam import Method
 from magyc_gtsam.runners.status import Status
 
 _RENEWED = 64  # windows after which iSAM2 restarts at its estimate, which bounds the windows in its state
@@ -33,35 +32,11 @@ class MagycGraph:
     """The graph, its estimate, and the mean over the last fifth of the estimates, which the paper reports.
 
     Args:
-        compressed: replace one factor instead of keeping all; the estimates are the same.
-        optimizer: "dogleg" (RISE, as in the paper) or "gauss-newton".
-        prior: "norm" (9) or "determinant".
-        residual_sigma: of (7), gauss/s.
-        prior_sigma: of the prior, per window.
-        robust: name of a kernel that weights each window; not with `compressed`.
-
-    Raises:
-        MagycError: an invalid option.
+        options: the options; None takes the defaults.
     """
 
-    def __init__(
-        self,
-        *,
-        compressed: bool = True,
-        optimizer: Method = "dogleg",
-        prior: Prior = "norm",
-        residual_sigma: float = 1e-3,
-        prior_sigma: float = 1e-2,
-        robust: str | None = None,
-    ) -> None:
-        if compressed and robust is not None:
-            raise MagycError(
-                "robust: a compressed factor cannot weigh its windows any more; choose compressed=False, "
-                "or method 'smoother'"
-            )
-        scale_prior(prior, prior_sigma)  # raises now if they are invalid
-        self._compressed, self._optimizer, self._prior, self._robust = compressed, optimizer, prior, robust
-        self._residual_sigma, self._prior_sigma = residual_sigma, prior_sigma
+    def __init__(self, options: IncrementalOptions | None = None) -> None:
+        self.options = IncrementalOptions() if options is None else options
         self._held: tuple[int, ...] = ()  # handles of the compressed factor and its prior
         self._waiting: list[Array] = []  # windows not yet in iSAM2
         self._windows: list[Array] = []  # (9,) each; if compressed, only those since the restart
@@ -91,33 +66,33 @@ class MagycGraph:
         return self._result
 
     def _step(self) -> IncrementalResult:
-        if self._compressed:
+        options = self.options
+        if options.compressed:
             factors = [
-                self._residuals.factor(*KEYS, self._residual_sigma),
-                scale_prior(self._prior, self._prior_sigma, len(self)),
+                self._residuals.factor(*KEYS, options.residual_sigma),
+                scale_prior(options.prior, options.prior_sigma, len(self)),
             ]
         else:
-            sigma, kernel = self._residual_sigma, self._robust
             factors = [
                 factor
                 for m, derivative, w in (np.split(window, _PARTS) for window in self._waiting)
                 for factor in (
-                    gyro_derivative_factor(*KEYS, m, derivative, w, sigma, robust=kernel),
-                    scale_prior(self._prior, self._prior_sigma),
+                    gyro_derivative_factor(*KEYS, m, derivative, w, options.residual_sigma, robust=options.robust),
+                    scale_prior(options.prior, options.prior_sigma),
                 )
             ]
         result = self._runner.update(factors, self._values, remove=self._held)
         if result.updated:
             self._waiting = []
-            if self._compressed:
+            if self.options.compressed:
                 self._held = result.factors
         return result
 
     def _renew(self) -> None:
         """Restart iSAM2 at its own estimate, where all factors are linearised at every step anyway."""
-        self._runner = Incremental(self._optimizer, names=NAMES)
+        self._runner = Incremental(self.options.optimizer, names=NAMES)
         self._held = ()
-        if self._compressed:
+        if self.options.compressed:
             self._windows = []
         self._waiting = list(self._windows)
         self._since_renewal = 0
@@ -125,18 +100,6 @@ class MagycGraph:
 
     def __len__(self) -> int:
         return self._residuals.samples
-
-    @property
-    def configuration(self) -> dict[str, Any]:
-        """The options of the constructor."""
-        return {
-            "optimizer": self._optimizer,
-            "prior": self._prior,
-            "compressed": self._compressed,
-            "robust": self._robust,
-            "residual_sigma": self._residual_sigma,
-            "prior_sigma": self._prior_sigma,
-        }
 
     @property
     def result(self) -> IncrementalResult:
@@ -167,6 +130,10 @@ class MagycGraph:
     def mean(self) -> Array | None:
         """Return the mean over the last 20 % of the estimates, which the paper reports; None without estimates."""
         return self._history.mean() if len(self._history) else None
+
+    def estimate(self) -> Array | None:
+        """Return the estimate that the options ask for, `mean` or `current`."""
+        return self.mean() if self.options.estimate == "mean" else self.current()
 
     def saved(self) -> Mapping[str, Array]:
         """Return the complete state, for `restore`."""
