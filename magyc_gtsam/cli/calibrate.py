@@ -38,10 +38,7 @@ def run(
         Literal["magnetometer", "accelerometer"],
         typer.Option(help="Sensor to calibrate; the accelerometer by gravity, with --option gravity=9.81."),
     ] = "magnetometer",
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-<date>-<time>."),
-    ] = None,
+    output: given.Output = None,
     noise: Annotated[
         tuple[float, float] | None,
         typer.Option(
@@ -63,19 +60,15 @@ def run(
         float | None,
         typer.Option(metavar="SECONDS", help="Longest averaging window. Default: depends on the method."),
     ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
-    ] = None,
+    option: given.MethodOptions = None,
     plan: Annotated[
         float | None,
         typer.Option(
             metavar="DEGREES",
             is_eager=True,
             callback=given.needs_no_log,
-            help="Only list which motion, for how long, gives this heading accuracy, "
-            "with and without an earlier calibration "
-            "and the location. Uses --noise, --prior and the --...-walk options. Needs no LOG and writes no files.",
+            help="Only list which motion, for how long, gives this heading accuracy, with and without an earlier "
+            "calibration and the location. Uses --noise, --prior and the --...-walk options. Needs no LOG and writes no files.",
         ),
     ] = None,
     more: given.More = None,

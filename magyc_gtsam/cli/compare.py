@@ -33,10 +33,7 @@ def run(
             metavar="A,B,C", help="Methods to run, from magyc_gtsam.methods(). Default: all that the log allows."
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-compare-<date>-<time>."),
-    ] = None,
+    output: given.Output = None,
     open_page: given.Open = False,
     quiet: given.Quiet = False,
     json: given.Json = False,

@@ -32,18 +32,16 @@ def run(
         Path | None,
         typer.Option(
             metavar="SIM",
-            help="Recording from your own simulator on a similar motion: its "
-            "assumptions are compared with LOG. Read with "
-            "the options of LOG if it has the same format.",
+            help="Recording from your own simulator on a similar motion: its assumptions are compared with LOG. "
+            "Read with the options of LOG if it has the same format.",
         ),
     ] = None,
     validate: Annotated[
         Path | None,
         typer.Option(
             metavar="OTHER_LOG",
-            help="Another log of the same instrument, on which the result is tested. "
-            "Read with the options of LOG if it has "
-            "the same format.",
+            help="Another log of the same instrument, on which the result is tested. Read with the options of LOG if "
+            "it has the same format.",
         ),
     ] = None,
     calibration: Annotated[
@@ -67,10 +65,7 @@ def run(
         ),
     ] = None,
     more: given.More = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-gap-<date>-<time>."),
-    ] = None,
+    output: given.Output = None,
     open_page: given.Open = False,
     verbose: given.Verbose = False,
     quiet: given.Quiet = False,

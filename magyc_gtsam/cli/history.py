@@ -46,10 +46,7 @@ def run(
             metavar="HISTORY", help="Add the logs to this history.yaml, whose own logs are not read again."
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Default: results/history-<date>-<time>."),
-    ] = None,
+    output: given.Output = None,
     engine: given.Engine = "local",
     quiet: given.Quiet = False,
     json: given.Json = False,

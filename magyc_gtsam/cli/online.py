@@ -68,10 +68,7 @@ def run(
     misalignment: given.Misalignment = None,
     prior: given.Prior = None,
     hard_iron_walk: given.HardIronWalk = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
-    ] = None,
+    option: given.MethodOptions = None,
     quiet: given.Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="Print each report as one line of JSON on standard output.")

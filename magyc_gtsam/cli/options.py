@@ -26,6 +26,19 @@ More = Annotated[
     list[Path] | None,
     typer.Argument(metavar="[LOG|FOLDER]...", help="More logs, folders or patterns.", show_default=False),
 ]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="DIR",
+        help="Folder of the results. Default: a new one in results/, named by log, command, date and time.",
+    ),
+]
+MethodOptions = Annotated[
+    list[str] | None,
+    typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
+]
 Engine = Annotated[
     str,
     typer.Option(

@@ -21,9 +21,8 @@ def run(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Address to listen on, for example 0.0.0.0 for all networks; the page "
-            "then requires the token in the address "
-            "shown. Default: this machine only.",
+            help="Address to listen on, for example 0.0.0.0 for all networks; the page then requires the token in the "
+            "address shown. Default: this machine only.",
         ),
     ] = None,
     most: Annotated[float, typer.Option(metavar="GB", min=0.001, help="Size limit of a dropped log.")] = 2.0,
