@@ -222,6 +222,14 @@ def test_degenerate_data_are_refused_with_a_reason(name, case, noise):
     assert len(calibration.message) > 20
 
 
+@pytest.mark.parametrize("noise", [1e-6, (1e-6,), (0.0, 1e-3), (1.0, 5e-3), (1e-6, np.nan), "small"])
+@pytest.mark.parametrize("name", ["smoother", "autocal", "twostep", "crassidis", "sar-kf"])
+def test_a_noise_is_a_pair_in_tesla(name, noise):
+    recording = mg.simulate("wide", 10).recording
+    with pytest.raises(mg.MagycError, match="noise: must be a pair"):
+        mg.calibrate(recording, name, noise=noise)
+
+
 @pytest.mark.parametrize("name", METHODS)
 def test_it_is_called_alike(name):
     module, function = METHODS[name].function.split(":")

@@ -131,7 +131,7 @@ def test_interval_means_are_integrated_as_such():
     [
         ("sar-ls", {"window": 0.0}, "window"),
         ("sar-ls", {"window": 100.0}, "windows of 100 s"),
-        ("sar-kf", {"noise": (0.0, 1e-3)}, "must be a pair above 0"),
+        ("sar-kf", {"noise": (0.0, 1e-3)}, "noise: must be a pair"),
         ("sar-kf", {"drift": -1.0}, "drift"),
     ],
 )

@@ -68,7 +68,8 @@ def run(
             is_eager=True,
             callback=given.needs_no_log,
             help="Only list which motion, for how long, gives this heading accuracy, with and without an earlier "
-            "calibration and the location. Uses --noise, --prior and the --...-walk options. Needs no LOG and writes no files.",
+            "calibration and the location. Uses --noise, --prior and the --...-walk options. Needs no LOG and writes "
+            "no files.",
         ),
     ] = None,
     more: given.More = None,

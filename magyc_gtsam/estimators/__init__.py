@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.gauge import check_field_strength, doubt_strength
+from magyc_gtsam.estimators.gauge import check_field_strength, check_noise, doubt_strength
 from magyc_gtsam.estimators.method import Method
 from magyc_gtsam.estimators.outside import methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
@@ -169,6 +169,8 @@ def calibrate(
     if (field[-1] == field[0]).all() and (field == field[0]).all():
         raise MagycError("magnetic_field: all rows are the same; the sensor is stuck, or was not turned")
     counts = recording.magnetic_field_unit == "counts"
+    if not counts:
+        check_noise(noise)
     if counts and (entry.needs or field_strength is not None):
         what = "field_strength" if field_strength is not None else f"method {method!r}"
         raise MagycError(

@@ -12,6 +12,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
+_LARGEST_NOISE = (1e-3, 10.0)  # T, rad/s
 _SCALE = 2.5  # factor by which an instrument's scale may be wrong
 
 
@@ -27,6 +28,25 @@ def check_field_strength(value: Any) -> None:
         raise MagycError(f"field_strength: must be a number of tesla, got {value!r}")
     if not 1e-6 < value < 1e-3:
         raise MagycError(f"field_strength: must be that of the Earth, 20e-6 to 70e-6 T, got {value:g} T")
+
+
+def check_noise(value: Any) -> None:
+    """Raise unless `value` can be the noise per sample, (magnetometer T, gyroscope rad/s); None means unknown.
+
+    Raises:
+        MagycError: `value` is not a pair of numbers, or one of them is 0 or larger than any sensor's.
+    """
+    if value is None:
+        return
+    pair = isinstance(value, (tuple, list)) and len(value) == 2
+    if not pair or not all(
+        isinstance(each, (int, float, np.number)) and not isinstance(each, bool) and 0 < each < most
+        for each, most in zip(value, _LARGEST_NOISE, strict=True)
+    ):
+        raise MagycError(
+            "noise: must be a pair (magnetometer T, gyroscope rad/s) above 0, and below {:g} T and {:g} rad/s, got "
+            "{!r}".format(*_LARGEST_NOISE, value)
+        )
 
 
 def doubt_strength(strength: float) -> str:

@@ -100,7 +100,7 @@ def calibrate_autocal(
         MagycError: too few samples, no spread along an axis, or samples that do not lie on an ellipsoid.
     """
     report = progress or (lambda _: None)
-    _check_options(noise, kernel, width, solver)
+    _check_options(kernel, width, solver)
     report(0.0)
     samples = normalised_field(recording)
     sigma = None if noise is None else noise[0] / samples.unit
@@ -144,12 +144,10 @@ def calibrate_autocal(
     return replace(result, noise={"magnetic_field": fit.sigma * samples.unit})
 
 
-def _check_options(noise: Any, kernel_name: Any, width: Any, solver: Any) -> None:
+def _check_options(kernel_name: Any, width: Any, solver: Any) -> None:
     kernel_of(kernel_name)
     if solver not in get_args(Solver):
         raise MagycError(f"solver: {solver!r} is not one of {', '.join(get_args(Solver))}")
-    if noise is not None and (not isinstance(noise, (tuple, list)) or len(noise) != 2 or not 0 < noise[0] < 1e-3):
-        raise MagycError(f"noise: must be a pair (magnetometer T, gyroscope rad/s), got {noise!r}")
     if width is not None and (
         isinstance(width, bool) or not isinstance(width, (int, float)) or not 0 < width < 1e-3
     ):

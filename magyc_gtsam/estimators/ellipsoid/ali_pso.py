@@ -7,66 +7,20 @@ Equation numbers are those of section 7 of the review (Papafotis, Nikitas, Sotir
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     Ellipsoid,
     check_positive,
-    fitting,
-    normalised_field,
-    to_calibration,
 )
 from magyc_gtsam.factors.chain.vech import MULTIPLICITY, UPPER, vech
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 
 _WIDTH = (0.3, 0.15)  # standard deviations of the initial swarm about h = 0 and T = I
 _BOUND = 5.0  # bound of an element, because (45) is zero for an infinite ellipsoid (a plane)
 _REPORTS = 50  # calls of progress
-
-
-def calibrate_ali_pso(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    seed: int = 0,
-    particles: int = 40,
-    inertia: float = 0.7298,
-    acceleration: tuple[float, float] = (1.496, 1.496),
-    tolerance: float = 1e-8,
-    max_iterations: int = 2000,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate by particle swarm.
-
-    Args:
-        recording: with magnetometer.
-        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        seed, particles, inertia, acceleration, tolerance, max_iterations: as `ali_pso`.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: samples that no ellipsoid explains.
-    """
-    samples = normalised_field(recording)
-    options: dict[str, Any] = {
-        "seed": seed,
-        "particles": particles,
-        "inertia": inertia,
-        "acceleration": acceleration,
-        "tolerance": tolerance,
-        "max_iterations": max_iterations,
-    }
-    with fitting("ali-pso"):
-        ellipsoid = ali_pso(samples.value, progress=progress, **options)
-    if progress:
-        progress(1.0)
-    configuration = {k: list(v) if isinstance(v, tuple) else v for k, v in options.items()}
-    return to_calibration(
-        recording, samples, ellipsoid, method="ali-pso", field_strength=field_strength, configuration=configuration
-    )
 
 
 def ali_pso(
@@ -125,6 +79,9 @@ def ali_pso(
         else f"the swarm is still {extent:.2g} wide after {iterations} iterations",
         diagnostics={"iterations": iterations, "fitness": float(p_fitness.min())},
     )
+
+
+calibrate_ali_pso = entry_point("ali-pso", ali_pso)
 
 
 def _moments(y: Array) -> Array:

@@ -10,10 +10,11 @@ from typing import cast
 
 import numpy as np
 
-from magyc_gtsam.estimators.ellipsoid.iterative import iterative
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     Ellipsoid,
     check_positive,
+    ended,
 )
 from magyc_gtsam.recording import Array
 
@@ -44,9 +45,9 @@ def dorveaux(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 2000) -
         T,
         -T @ B_total,
         converged,
-        f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
+        ended(converged, iterations),
         diagnostics={"iterations": iterations, "last_step": j_stop},
     )
 
 
-calibrate_dorveaux = iterative("dorveaux", dorveaux)
+calibrate_dorveaux = entry_point("dorveaux", dorveaux)

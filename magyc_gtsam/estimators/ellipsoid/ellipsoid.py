@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.ellipsoid.magnetometer_only import Ellipsoid, normalised_field, to_calibration
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
+from magyc_gtsam.estimators.ellipsoid.magnetometer_only import Ellipsoid
+from magyc_gtsam.recording import Array
 
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # elements of C, the diagonal first
 _NOT_AN_ELLIPSOID = "the quadric that fits the samples best is not an ellipsoid"
@@ -109,7 +110,7 @@ def fit_ellipsoid(samples: Array) -> tuple[Array, Array] | None:
 def algebraic(
     method: str,
     fit: Callable[[Array], tuple[Array, Array] | None],
-    covariance: Callable[[Array, Array, Array], Array | None] | None = None,
+    covariance: Callable[[Array, Array, Array], Array | None] = lambda *_: None,
 ) -> Callable[..., Calibration]:
     """Return the entry point of an algebraic method.
 
@@ -119,38 +120,14 @@ def algebraic(
         covariance: samples, K and b → (9, 9); None takes that of least squares.
     """
 
-    def calibrate(
-        recording: Recording,
-        *,
-        field_strength: float | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> Calibration:
-        """Calibrate the magnetometer by an algebraic ellipsoid fit.
+    def fitted(samples: Array) -> Ellipsoid:
+        found = fit(samples)
+        if found is None:
+            return Ellipsoid(np.full((3, 3), np.nan), np.zeros(3), False, _NOT_AN_ELLIPSOID)
+        solved = "converged: a convex problem, solved at once"
+        return Ellipsoid(*found, message=solved, covariance=covariance(samples, *found))
 
-        Args:
-            recording: with a magnetometer.
-            field_strength: T, strength of the true field; None: det soft iron = 1.
-            progress: called with the share done, 0 to 1.
-
-        Raises:
-            MagycError: too few samples, no spread along an axis, or a fit that is not an ellipsoid.
-        """
-        samples = normalised_field(recording)
-        found = fit(samples.value)
-        ellipsoid = (
-            Ellipsoid(np.full((3, 3), np.nan), np.zeros(3), False, _NOT_AN_ELLIPSOID)
-            if found is None
-            else Ellipsoid(
-                *found,
-                message="converged: a convex problem, solved at once",
-                covariance=covariance(samples.value, *found) if covariance else None,
-            )
-        )
-        if progress:
-            progress(1.0)
-        return to_calibration(recording, samples, ellipsoid, method=method, field_strength=field_strength)
-
-    return calibrate
+    return entry_point(method, fitted)
 
 
 calibrate_ellipsoid = algebraic("ellipsoid", fit_ellipsoid)

@@ -10,10 +10,11 @@ from typing import cast
 
 import numpy as np
 
-from magyc_gtsam.estimators.ellipsoid.iterative import iterative
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     Ellipsoid,
     check_positive,
+    ended,
 )
 from magyc_gtsam.recording import Array
 
@@ -43,12 +44,12 @@ def magical(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 5000) ->
         T,
         h,
         converged,
-        f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
+        ended(converged, iterations),
         diagnostics={"iterations": iterations, "cost": cost},
     )
 
 
-calibrate_magical = iterative("magical", magical)
+calibrate_magical = entry_point("magical", magical)
 
 
 def _unit(columns: Array) -> Array:

@@ -110,6 +110,11 @@ def fitting(method: str) -> Iterator[None]:
         raise MagycError(f"method {method!r} failed: {error}; {REMEDY}") from None
 
 
+def ended(converged: bool, iterations: int) -> str:
+    """Return the message of a method that iterates."""
+    return f"{'converged' if converged else 'no convergence'} in {iterations} iterations"
+
+
 def check_positive(**options: float) -> None:
     """Check that options are numbers above zero.
 

@@ -16,6 +16,7 @@ from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     REMEDY,
     Ellipsoid,
     check_positive,
+    ended,
     fitting,
     normalised_field,
     to_calibration,
@@ -132,7 +133,7 @@ def _twostep(y: Array, noise: float, tolerance: float, max_iterations: int) -> t
         T,
         h,
         converged,
-        f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
+        ended(converged, iterations),
         covariance=_covariance(np.linalg.inv(total), T, h) if noise else None,
         diagnostics={"iterations": iterations},
     )

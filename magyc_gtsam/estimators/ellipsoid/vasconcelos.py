@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.estimators.ellipsoid.iterative import iterative
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     REMEDY,
     Ellipsoid,
     check_positive,
+    ended,
 )
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
@@ -51,12 +52,12 @@ def vasconcelos(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 100
         np.linalg.inv(x[:9].reshape(3, 3, order="F")),
         x[9:],
         converged,
-        f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
+        ended(converged, iterations),
         diagnostics={"iterations": iterations, "cost": cost(x, y)},
     )
 
 
-calibrate_vasconcelos = iterative("vasconcelos", vasconcelos)
+calibrate_vasconcelos = entry_point("vasconcelos", vasconcelos)
 
 
 def initial_estimate(y: Array) -> tuple[Array, Array]:

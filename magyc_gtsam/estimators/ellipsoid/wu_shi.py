@@ -11,11 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.closest_point import closest_points
-from magyc_gtsam.estimators.ellipsoid.iterative import iterative
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     REMEDY,
     Ellipsoid,
     check_positive,
+    ended,
 )
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
@@ -51,13 +52,13 @@ def wu_shi(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 50) -> E
         T,
         h,
         converged,
-        f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
+        ended(converged, iterations),
         radial=False,
         diagnostics={"iterations": iterations, "cost": cost},
     )
 
 
-calibrate_wu_shi = iterative("wu-shi", wu_shi)
+calibrate_wu_shi = entry_point("wu-shi", wu_shi)
 
 
 def _eliminated(y: Array, T: Array, h: Array) -> tuple[Array, Array, float]:

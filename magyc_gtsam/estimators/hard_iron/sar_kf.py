@@ -67,10 +67,8 @@ def calibrate_sar_kf(
             recording.
 
     Raises:
-        MagycError: no gyroscope, too few samples, or noise levels that are not positive.
+        MagycError: no gyroscope, too few samples, or a negative drift.
     """
-    if noise is not None and not (len(noise) == 2 and min(noise) > 0 and np.isfinite(noise).all()):
-        raise MagycError(f"noise: must be a pair above 0 (magnetometer T, gyroscope rad/s), got {noise!r}")
     if not (np.isfinite(drift) and drift >= 0):
         raise MagycError(f"drift: must be finite and at least 0 T/√s, got {drift!r}")
     turning = turning_field(recording)

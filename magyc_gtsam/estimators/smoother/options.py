@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.gauge import check_field_strength
+from magyc_gtsam.estimators.gauge import check_field_strength, check_noise
 from magyc_gtsam.factors.errors import MagycError
 
 MOST_DRIFT = 0.1  # s/s, largest plausible drift of a clock
@@ -91,6 +91,7 @@ class SmootherOptions:
 
     def __post_init__(self) -> None:
         check_field_strength(self.field_strength)
+        check_noise(self.noise)
         if self.robust not in (None, True, False):
             raise MagycError(
                 f"robust: {self.robust!r} is neither True nor False; this method has one rejection of its own, the "
@@ -102,11 +103,6 @@ class SmootherOptions:
             _number("turn", self.turn, 0.0, np.pi, "rad")
         if self.delay is not None:
             _number("delay", self.delay, -1.0, 1.0, "s")
-        if self.noise is not None:
-            if not isinstance(self.noise, (tuple, list)) or len(self.noise) != 2:
-                raise MagycError(f"noise: must be a pair (magnetometer T, gyroscope rad/s), got {self.noise!r}")
-            _number("noise of the magnetometer", self.noise[0], 0.0, 1e-3, "T")
-            _number("noise of the gyroscope", self.noise[1], 0.0, 10.0, "rad/s")
         if isinstance(self.misalignment, bool) or self.misalignment not in ("auto", 0):
             _number("misalignment", self.misalignment, 0.0, MOST_SKEW, "rad, or 'auto'")
         _number("gyroscope_scale", self.gyroscope_scale, -1e-15, MOST_SCALE, "")
