@@ -77,12 +77,12 @@ def as_the_batch(options: argparse.Namespace) -> Iterator[Bar]:
 
 def blind(options: argparse.Namespace) -> Iterator[Bar]:
     """The gates of the blind test."""
+    from magyc_gtsam.blindtest.detectability import stands_out
     from magyc_gtsam.blindtest.gates import gates
     from magyc_gtsam.blindtest.heading import heading_errors
     from magyc_gtsam.blindtest.running import run
     from magyc_gtsam.blindtest.scenarios import SETS, scenarios
     from magyc_gtsam.blindtest.scoring import score
-    from magyc_gtsam.blindtest.standing import stands_out
 
     with tempfile.TemporaryDirectory() as folder:
         hidden = scenarios("wide", max(options.runs // 3, 1), options.edition, SETS[:-1])

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import gtsam
 
+from magyc_gtsam.factors.admission import Optimize
 from magyc_gtsam.factors.delivered import Delivered
-from magyc_gtsam.factors.entrance import Optimize
 from magyc_gtsam.factors.solver import View, predicted_decrease
 from magyc_gtsam.factors.warm_up import narrow, robust_blocks
 

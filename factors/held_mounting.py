@@ -1,11 +1,9 @@
 """Test of the mounting that blocks hold, without making it a variable of the graph.
 
 Where the true mounting is ᵇRₛ Exp(θ) and the graph holds ᵇRₛ, the graph's estimate is biased by D θ, and the
-innovation
-of a block with the Jacobians J on its keys and M on the mounting has the mean −G θ, G = M − J D. With the residual
-r = S⁻¹ν at the estimate that includes the block, and the covariance P of its keys there, the score and information of
-θ
-are
+innovation of a block with the Jacobians J on its keys and M on the mounting has the mean −G θ, G = M − J D. With the
+residual r = S⁻¹ν at the estimate that includes the block, and the covariance P of its keys there, the score and
+information of θ are
 
     −Gᵀ r    and    Gᵀ S⁻¹ G = Gᵀ G − (Jᵀ G)ᵀ P (Jᵀ G),    and D grows by P Jᵀ G
 

@@ -20,11 +20,11 @@ from typing import Any
 
 import gtsam
 
+from magyc_gtsam.factors.admission import AdmissionControl, Optimize
 from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.factors.batch import minimum, solve_batch
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
-from magyc_gtsam.factors.entrance import Entrance, Optimize
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
@@ -79,19 +79,19 @@ class NativeFactors:
         self.replaced = 0
         self.withdrawn = 0
         self.settled = False
-        self._entrance = Entrance(alignment)
+        self._admission = AdmissionControl(alignment)
         self._examiner = None if health is None else Examiner(health)
         self._delivered: list[Delivered] = []
         self._kernels = WarmUp()
         self._staleness = Staleness(recent, growth)
 
     def __len__(self) -> int:
-        return len(self._delivered) + len(self._entrance.waiting)
+        return len(self._delivered) + len(self._admission.waiting)
 
     @property
     def waiting(self) -> int:
         """Number of blocks that wait for the heading."""
-        return len(self._entrance.waiting)
+        return len(self._admission.waiting)
 
     @property
     def health(self) -> Health:
@@ -187,7 +187,7 @@ class NativeFactors:
         """
         new = sorted_factors(graph)
         fresh, own = new.fresh, gtsam.NonlinearFactorGraph(new.others)
-        values = self._entrance.start(own, values, fresh, optimize or minimum)
+        values = self._admission.start(own, values, fresh, optimize or minimum)
         self._delivered = fresh
         values, self.settled, replaced = solve_batch(
             own, values, fresh, optimize, rounds=rounds, tolerance=self.tolerance, quadratic=self.quadratic
@@ -205,7 +205,7 @@ class NativeFactors:
     def _pending(self) -> bool:
         """Whether an update that adds no block has work to do."""
         over = self._examiner is not None and bool(self._examiner.monitor.over)
-        return over or self._staleness.pending or self._entrance.defers
+        return over or self._staleness.pending or self._admission.defers
 
     @one_thread
     def _update_blocks(
@@ -219,7 +219,7 @@ class NativeFactors:
             self._kernels.add(block, view.values(block.factor.keys()))
         self._kernels.narrow()
         remove = [each.slot for each in self._withdraw_disturbed()]
-        admission = self._entrance.admit(view, fresh, self._delivered, new.others)
+        admission = self._admission.admit(view, fresh, self._delivered, new.others)
         entering = admission.entering
         if admission.turned and examiner is not None:
             examiner.restart()
@@ -239,10 +239,10 @@ class NativeFactors:
             for each in placed:
                 pushed.push_back(each.native)
         last = eliminated_last(new.others, entering, renewed)
-        result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove, last)
+        result = update_solver(solver, pushed, self._admission.covered(view.new, pushed), timestamps, remove, last)
         if pushed is not new.others:
             self._place(solver, result, placed, admission.pull)
-        if examiner is not None and entering and self._entrance.entered:
+        if examiner is not None and entering and self._admission.entered:
             if len(entering) > len(fresh):
                 examiner.quiet = _QUIET
             examiner.judge(entering, View(solver), self._delivered)
@@ -253,7 +253,7 @@ class NativeFactors:
         if isinstance(view.solver, gtsam.ISAM2 | gtsam.Values):
             return
         self._delivered = [each for each in self._delivered if all(map(view.exists, each.factor.keys()))]
-        self._entrance.forget(view)
+        self._admission.forget(view)
 
     def _withdraw_disturbed(self) -> list[Delivered]:
         """Remove and return the blocks inside disturbances that have ended."""
@@ -288,6 +288,6 @@ class NativeFactors:
         turning = [] if pull is None else [pull]
         slots = new_slots(solver, result, turning + [each.native for each in placed])
         if pull is not None:
-            self._entrance.pull_slot = slots.pop(0)
+            self._admission.pull_slot = slots.pop(0)
         for each, slot in zip(placed, slots, strict=True):
             each.slot = slot

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magyc_gtsam.estimators.smoother.upright import relinearised
+from magyc_gtsam.estimators.smoother.vertical import relinearised
 
 
 def check_slope(fit, kind):

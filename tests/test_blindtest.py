@@ -14,6 +14,7 @@ import pytest
 
 from magyc_gtsam import MagycError, cli
 from magyc_gtsam.blindtest import diagnosis
+from magyc_gtsam.blindtest.detectability import seen_by_a_perfect_test, stands_out
 from magyc_gtsam.blindtest.gates import gates, interval, missing
 from magyc_gtsam.blindtest.generator import generate, noise_free, truth_of
 from magyc_gtsam.blindtest.heading import heading_error, heading_errors
@@ -31,7 +32,6 @@ from magyc_gtsam.blindtest.scenarios import (
 )
 from magyc_gtsam.blindtest.scoring import Outcome, beyond, confusion, judged, score
 from magyc_gtsam.blindtest.sealing import MANIFEST, RECORDINGS, SEALED, opened, seal
-from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test, stands_out
 from magyc_gtsam.blindtest.tables import markdown, outcome_rows, standing_rows
 from magyc_gtsam.cli.study_logs import recordings_of
 from magyc_gtsam.io import write_mcap

@@ -90,7 +90,7 @@ def score(
     Args:
         folder: folder of the blind test.
         heading: computes the heading error before and after, as `heading.heading_errors` does.
-        standing: computes how far an effect stands out, as `standing.stands_out` does.
+        standing: computes how far an effect stands out, as `detectability.stands_out` does.
         progress: called with the share done.
 
     Raises:

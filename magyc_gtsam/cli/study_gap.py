@@ -28,6 +28,7 @@ def blind_test(
     Returns:
         The exit code: 0 if all gates are passed, else 1.
     """
+    from magyc_gtsam.blindtest.detectability import stands_out
     from magyc_gtsam.blindtest.from_outside import EffectsFromFile
     from magyc_gtsam.blindtest.gates import gates, missing
     from magyc_gtsam.blindtest.heading import heading_errors
@@ -35,7 +36,6 @@ def blind_test(
     from magyc_gtsam.blindtest.running import run
     from magyc_gtsam.blindtest.scenarios import MOTIONS, SETS, real_scenarios, scenarios
     from magyc_gtsam.blindtest.scoring import score
-    from magyc_gtsam.blindtest.standing import stands_out
     from magyc_gtsam.blindtest.tables import GATE_HEADER, gate_rows, outcome_header, outcome_rows, write_tables
     from magyc_gtsam.factors.errors import MagycError
 

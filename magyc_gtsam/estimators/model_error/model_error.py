@@ -21,7 +21,7 @@ from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
 from magyc_gtsam.estimators.model_error.physical import COARSE, PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided
-from magyc_gtsam.estimators.model_error.shown import shown_by
+from magyc_gtsam.estimators.model_error.significant import shown_by
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array

@@ -16,7 +16,7 @@ from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, 
 from magyc_gtsam.estimators.model_error.components import FixedColumns, likeliest
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.principal import principal
-from magyc_gtsam.estimators.model_error.shown import JointFit
+from magyc_gtsam.estimators.model_error.significant import JointFit
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.stacked import Stacked
 

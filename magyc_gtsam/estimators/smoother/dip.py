@@ -14,7 +14,7 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA, PlaceField
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.estimators.smoother.upright import (
+from magyc_gtsam.estimators.smoother.vertical import (
     UprightFact,
     independent,
     near,

@@ -20,7 +20,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import Fit, colour_of
 from magyc_gtsam.estimators.smoother.options import KnownHeading
-from magyc_gtsam.estimators.smoother.upright import (
+from magyc_gtsam.estimators.smoother.vertical import (
     UprightFact,
     near,
     upright,

@@ -22,7 +22,7 @@ from magyc_gtsam.estimators.smoother.parts import by_a_part
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.skew import on_skew, skew_from_score, skew_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC, SkewPrior, given
-from magyc_gtsam.estimators.smoother.upright import relinearised, upright_facts
+from magyc_gtsam.estimators.smoother.vertical import relinearised, upright_facts
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import LinearFact
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain

@@ -10,11 +10,11 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.many.described import AddedEffect, told
 from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
 from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight
-from magyc_gtsam.gap.many.told import AddedEffect, told
 from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh
 from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration

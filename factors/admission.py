@@ -41,7 +41,7 @@ class Admission:
     turned: bool = False
 
 
-class Entrance:
+class AdmissionControl:
     """Keeps blocks waiting while the coarse alignment contradicts the heading, and turns the graph by a prior.
 
     Args:
