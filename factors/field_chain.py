@@ -14,8 +14,16 @@ import gtsam
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW, WITH_SKEW, FieldChain
+from magyc_gtsam.factors.chain.chain_values import (
+    DELAY,
+    PARAMETERS,
+    SKEW,
+    WITH_SKEW,
+    ChainState,
+    SensorNoise,
+    Weights,
+)
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import custom_factor

@@ -32,6 +32,13 @@ def test_the_table_of_folders_is_up_to_date() -> None:
     assert found[0] == table(), "run: python tests/test_architecture.py"
 
 
+def test_a_file_holds_one_idea_in_at_most_300_lines() -> None:
+    files = [file for package in ("factors", "magyc_gtsam") for file in (ROOT / package).rglob("*.py")]
+    lengths = {str(file): len(file.read_text(encoding="utf-8").splitlines()) for file in files}
+    assert len(lengths) > 400
+    assert {name: length for name, length in lengths.items() if length > 300} == {}
+
+
 def test_every_package_says_what_it_is() -> None:
     assert all(not row.endswith("|  |") for row in table().splitlines())
 

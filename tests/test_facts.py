@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SKEW, SensorNoise, iron_matrix
 from magyc_gtsam.factors.chain.facts import IronFact, LinearFact, StrengthFact, quadratic
-from magyc_gtsam.factors.chain.field_chain import SKEW, FieldChain, iron_matrix
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import exponential_matrices, right_jacobian
 from magyc_gtsam.simulation import simulate

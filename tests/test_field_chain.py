@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from magyc_gtsam.estimators.smoother.smoother import calibrate_smoother
 from magyc_gtsam.factors import MagycError, unvech, vech
 from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, forward_solved
-from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, ChainState, SensorNoise, Weights
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import exponential_matrices, increments, tangent_frame
 from magyc_gtsam.factors.field_chain import field_chain_factor

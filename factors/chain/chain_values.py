@@ -10,7 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, inverse_blocks
-from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices
+from magyc_gtsam.factors.chain.vech import unvech
+
+PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
+DELAY = 12
+SKEW = slice(13, 16)  # ε, in a θ of `WITH_SKEW` entries
+WITH_SKEW = 16
 
 
 class SensorNoise(NamedTuple):
@@ -88,3 +94,14 @@ class Reduced(NamedTuple):
     def _solved(self) -> Array:
         """H⁻¹ C (p, 2, n)."""
         return backward_solved(UnitFactor.of(self.factor), self.half[:, :-1].T)
+
+
+def iron_matrix(parameters: Array) -> Array:
+    """Return B (3, 3) in T at θ: the reading is B u + h for the field's direction u in the gyroscope's axes."""
+    soft_iron = unvech(parameters[:6])
+    return soft_iron if len(parameters) == PARAMETERS else soft_iron @ skew_rotation(parameters)
+
+
+def skew_rotation(parameters: Array) -> Array:
+    """Return Exp(ε), from the gyroscope's axes to the magnetometer's."""
+    return exponential_matrices(parameters[SKEW, None])[:, :, 0]

@@ -13,10 +13,8 @@ states g_n ∈ S² (the field direction of window n), residuals
 and the priors on θ (`facts`). ε turns the gyroscope's axes into the magnetometer's. With twelve parameters and a delay
 θ has 13 entries, so that a skew held at 0 costs nothing.
 
-One Gauss–Newton step eliminates the directions by a banded Cholesky factorisation (2×2 blocks, three
-sub-diagonals) and is linear in the number of windows. All arrays keep the windows along their last,
-contiguous axis. `scipy.linalg.lapack` does the elimination; a cyclic reduction in numpy alone was several times
-slower.
+One Gauss–Newton step eliminates the directions by a banded Cholesky factorisation (2×2 blocks, three sub-diagonals) and
+is linear in the number of windows. All arrays keep the windows along their last, contiguous axis.
 """
 
 from __future__ import annotations
@@ -27,18 +25,25 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, SensorNoise, Weights
+from magyc_gtsam.factors.chain.chain_values import (
+    DELAY,
+    PARAMETERS,
+    SKEW,
+    WITH_SKEW,
+    ChainState,
+    Reduced,
+    Residuals,
+    SensorNoise,
+    Weights,
+    iron_matrix,
+    skew_rotation,
+)
 from magyc_gtsam.factors.chain.directions import DirectionModel, LinearisedSensor, QuadraticPrior, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
-from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices, right_jacobian, skew
-from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.chain.rotations import Array, cross, right_jacobian, skew
 from magyc_gtsam.factors.errors import MagycError
 
-PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
-DELAY = 12
-SKEW = slice(13, 16)  # ε, in a θ of `WITH_SKEW` entries
-WITH_SKEW = 16
 _SETTLING = 20  # largest number of Gauss–Newton steps of the directions alone
 _SETTLED = 1e-18  # rad², squared step of a direction below which the directions have converged
 
@@ -196,14 +201,13 @@ class FieldChain:
         )
 
     def _on_parameters(self, parameters: Array, g: Array, body: Array, scale: Array) -> Array:
-        """Return the windows' whitened Jacobian on θ, r = S Exp(ε) M g + h − m: (p + 1, 3, n), with room for the
-        residual.
+        """Return the windows' whitened Jacobian (p + 1, 3, n) on θ, r = S Exp(ε) M g + h − m, with room for r.
 
-        `body` is M g times `scale`; the last entry along the first axis is left for the residual.
+        `body` is M g times `scale`.
         """
         size, n = len(parameters), g.shape[1]
         matrix, whitened = iron_matrix(parameters), g * scale
-        x, y, z = body if size == PARAMETERS else _skew_rotation(parameters) @ body
+        x, y, z = body if size == PARAMETERS else skew_rotation(parameters) @ body
         result = np.zeros((size + 1, 3, n))
         result[0, 0] = result[1, 1] = result[2, 2] = x
         result[1, 0] = result[3, 1] = result[4, 2] = y
@@ -285,8 +289,7 @@ class FieldChain:
                 f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
                 "its weight or its noise is out of range"
             )
-        result: Array = factor
-        return result
+        return np.asarray(factor)
 
     def rotation(self, parameters: Array) -> Array:
         """Return M (3, 3, n) at θ: the rotation from the integrated world to the sensor, averaged over each window."""
@@ -295,14 +298,3 @@ class FieldChain:
     def turn(self, parameters: Array) -> Array:
         """Return E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
         return self.windows.turn_at(parameters[9:12])
-
-
-def iron_matrix(parameters: Array) -> Array:
-    """Return B (3, 3) in T at θ: the reading is B u + h for the field's direction u in the gyroscope's axes."""
-    soft_iron = unvech(parameters[:6])
-    return soft_iron if len(parameters) == PARAMETERS else soft_iron @ _skew_rotation(parameters)
-
-
-def _skew_rotation(parameters: Array) -> Array:
-    """Return Exp(ε), from the gyroscope's axes to the magnetometer's."""
-    return exponential_matrices(parameters[SKEW, None])[:, :, 0]

@@ -18,8 +18,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dtbtrs
 
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, WITH_SKEW, FieldChain, iron_matrix
+from magyc_gtsam.factors.chain.chain_values import (
+    DELAY,
+    PARAMETERS,
+    WITH_SKEW,
+    ChainState,
+    Reduced,
+    SensorNoise,
+    iron_matrix,
+)
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import cross

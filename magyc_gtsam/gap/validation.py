@@ -9,8 +9,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
-from magyc_gtsam.factors.chain.chain_values import SensorNoise
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term

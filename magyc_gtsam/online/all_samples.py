@@ -6,7 +6,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit, begin
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.search import fit_field_chain, refit_field_chain, shortened, with_skew
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.online.marginal import BIAS, ContinuedChain
 from magyc_gtsam.online.state import SmootherState

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Weights
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, ChainState, Reduced, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import ContinuedChain
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.chain_values import ChainState, Weights
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.directions import QuadraticPrior
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, FieldChain, iron_matrix
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 
 _UNMEASURED = 1e-3  # factor of the first window's `window_scale`, since the marginal already contains its field

@@ -27,8 +27,7 @@ from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import adapt, truncated
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
-from magyc_gtsam.factors.chain.chain_values import Weights
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError

@@ -11,7 +11,8 @@ from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise, suitable_turn
 from magyc_gtsam.estimators.smoother.search import disturbed, moved, with_skew
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.online.all_samples import fit_samples
 from magyc_gtsam.online.belief import FIRST

@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, descend
-from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.all_samples import fit_batch
 from magyc_gtsam.online.belief import FIRST

@@ -18,8 +18,8 @@ from magyc_gtsam.estimators.smoother.search import skew_prior
 from magyc_gtsam.estimators.smoother.skew import SkewPriorFact, skew_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
 from magyc_gtsam.estimators.smoother.smoother import calibration_of
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.belief import FIRST, Belief, Estimate
 from magyc_gtsam.online.buffers import SampleBuffer

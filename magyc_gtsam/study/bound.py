@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.smoother.starts import parameters
-from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise
+from magyc_gtsam.factors.chain.chain_values import DELAY, ChainState, SensorNoise
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
-from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array

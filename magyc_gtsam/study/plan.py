@@ -20,8 +20,8 @@ from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import skew_prior_fact, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
+from magyc_gtsam.factors.chain.chain_values import SKEW
 from magyc_gtsam.factors.chain.facts import Fact, StrengthFact, field_strength, quadratic
-from magyc_gtsam.factors.chain.field_chain import SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError

@@ -12,7 +12,7 @@ from magyc_gtsam.estimators.model_error.components import fit_components
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.stacked import Stacked
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 
 _HARD_IRON = slice(6, 9)

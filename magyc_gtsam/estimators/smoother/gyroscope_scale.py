@@ -23,7 +23,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.estimators.smoother.search import shortened
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.factors.chain.vech import unvech

@@ -19,8 +19,9 @@ from magyc_gtsam.estimators.smoother.fit import BRIEF, Fit, begin, inverse_infor
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.search import refit_field_chain, shortened
+from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.facts import field_strength
-from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording

@@ -12,7 +12,7 @@ from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, rema
 from magyc_gtsam.estimators.smoother.gyroscope_scale import GyroscopeScale
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.estimators.smoother.skew_found import Skew
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.observability import Assessor, Observability

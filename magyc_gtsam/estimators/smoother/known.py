@@ -13,8 +13,8 @@ from magyc_gtsam.estimators.smoother.dip import dip_of, known_dip
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
 from magyc_gtsam.estimators.smoother.skew import on_skew
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.facts import Fact, IronFact, LinearFact, StrengthFact, field_strength, quadratic
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError

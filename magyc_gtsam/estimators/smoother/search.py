@@ -23,9 +23,9 @@ from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term
 from magyc_gtsam.estimators.smoother.skew import on_skew, skew_from_score, skew_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC, SkewPrior, given
 from magyc_gtsam.estimators.smoother.vertical import relinearised, upright_facts
-from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import LinearFact
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError

@@ -25,9 +25,8 @@ from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.skew_found import Skew
 from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
-from magyc_gtsam.factors.chain.chain_values import ChainState, Weights
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, iron_matrix
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _LEAST_SPLIT = 40  # windows of a recording from which its halves are compared

@@ -17,8 +17,7 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
-from magyc_gtsam.factors.chain.chain_values import ChainState
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.level_turn import vertical

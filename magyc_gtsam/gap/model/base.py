@@ -7,8 +7,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.factors.chain.chain_values import SensorNoise
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SensorNoise
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit

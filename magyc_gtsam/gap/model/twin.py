@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.factors.chain.banded import inverse_blocks
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, ChainState, Reduced
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
 from magyc_gtsam.factors.chain.rate_columns import turned_by
 from magyc_gtsam.factors.chain.rotations import Array, cross, skew

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.result import Doubt
 
