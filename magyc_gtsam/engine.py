@@ -19,6 +19,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.storage.whole_file import whole_file
 
@@ -155,12 +156,8 @@ def _alone(work: Work, unit: Any) -> Row:
 
 def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Rows:
     """Yield rows as units finish. The scheduler moves the units of a dead worker to the others."""
-    try:
+    with needs(f"engine {address!r}", "dask.distributed", "distributed"):
         from distributed import Client, KilledWorker, as_completed
-    except ModuleNotFoundError:
-        raise MagycError(
-            f"engine {address!r}: needs dask.distributed; pip install 'magyc-gtsam[distributed]'"
-        ) from None
     try:
         client = Client(address, timeout="10s")
     except (OSError, TimeoutError, ValueError) as error:
@@ -179,11 +176,9 @@ def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Rows:
 
 def _parquet() -> Any:
     """Import pyarrow with its Parquet module."""
-    try:
+    with needs("parts of a run as Parquet files", "pyarrow", "parquet"):
         import pyarrow
         import pyarrow.parquet
-    except ModuleNotFoundError:
-        raise MagycError("parts of a run are Parquet files; pip install 'magyc-gtsam[parquet]'") from None
     return pyarrow
 
 

@@ -32,9 +32,7 @@ def read(path: Path, request: Request) -> Recording:
     Raises:
         MagycError: a message is missing, or the correction in flight cannot be undone.
     """
-    request.only("ArduPilot")
-    if request.stamps == "log":
-        raise MagycError("stamps='log': an ArduPilot log has only one clock; leave the option out")
+    request.only("ArduPilot", clock="one clock")
     channels = tuple(request.channels) if request.channels is not None else _CHANNELS
     log = load(path, _fields(channels), request)
     notes = list(log.notes)
@@ -44,8 +42,7 @@ def read(path: Path, request: Request) -> Recording:
         if key is None:
             notes.append(f"no {sensor}: the log has no IMU messages")
             continue
-        scale, unit_notes = request.scale(sensor)
-        notes.extend(unit_notes)
+        scale = request.scale(sensor, notes=notes)
         stream = log.samples[key].stream(*_AXES[sensor][1])
         sensors[sensor] = Stream(stream.name, stream.stamp, stream.value * scale)
     if "angular_rate" in sensors:
@@ -149,8 +146,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> Stre
         key[1],
     )
     notes.extend(correction_notes)
-    scale, unit_notes = request.scale("magnetic_field", _MILLIGAUSS)
-    notes.extend(unit_notes)
+    scale = request.scale("magnetic_field", _MILLIGAUSS, notes)
     stream = Stream(stream.name, stream.stamp, raw * scale)
     if "Health" in samples.columns:
         healthy = samples.columns["Health"] != 0

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo, Source
@@ -51,11 +52,7 @@ def read(path: Path, request: Request) -> Recording:
     Raises:
         MagycError: orangebox is not installed, the log is damaged, or no magnetometer was logged.
     """
-    request.only("Blackbox", "log")
-    if request.stamps == "log":
-        raise MagycError(
-            "stamps='log': a Blackbox log has only the flight controller's clock; leave the option out"
-        )
+    request.only("Blackbox", "log", clock="the flight controller's clock")
     wanted = request.options.get("log", 1)
     if not isinstance(wanted, int) or wanted < 1:
         raise MagycError(f"log: must be a whole number from 1, got {wanted!r}")
@@ -74,8 +71,7 @@ def read(path: Path, request: Request) -> Recording:
     stamp = np.round(flight.time * 1000).astype(np.int64)
     sensors = {}
     for sensor, value in flight.sensors.items():
-        scale, unit_notes = request.scale(sensor, _scale(sensor, flight.headers, path))
-        notes.extend(unit_notes)
+        scale = request.scale(sensor, _scale(sensor, flight.headers, path), notes)
         # The compass is slower than the log, which repeats the last reading.
         new = np.r_[True, (np.diff(value, axis=0) != 0).any(axis=1)] if sensor == "magnetic_field" else slice(None)
         sensors[sensor] = Stream(_FIELDS[sensor][0], stamp[new], value[new] * scale)
@@ -125,12 +121,8 @@ def _flight(path: Path, wanted: int) -> _Flight:
     Raises:
         MagycError: orangebox is not installed, or the log cannot be read or is empty.
     """
-    try:
+    with needs(f"{path}", "orangebox", "blackbox"):
         from orangebox import Parser
-    except ImportError:
-        raise MagycError(
-            f"{path}: Blackbox logs need orangebox; install it with: pip install 'magyc-gtsam[blackbox]'"
-        ) from None
     try:
         parser = Parser.load(str(path), wanted, allow_invalid_header=True)
         names = list(parser.field_names)

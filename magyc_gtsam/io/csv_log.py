@@ -65,9 +65,7 @@ def read(path: Path, request: Request) -> Recording:
         columns = places.pop(sensor)
         value: Array = numbers.together(columns, last=not any({*columns} & {*other} for other in places.values()))
         if sensor != "attitude":
-            scale, unit_notes = _scale(sensor, group, request)
-            value *= scale
-            notes.extend(unit_notes)
+            value *= _scale(sensor, group, request, notes)
         sensors[sensor] = _present(Stream(group.label, stamp, value))
     channels = {
         c.written: _present(Stream(c.written, stamp, numbers.column(wanted.index(c.index)))) for c in extra
@@ -212,16 +210,12 @@ def _channel_columns(table: Table, used: set[int], request: Request, notes: list
     return [c for c in free if c not in text]
 
 
-def _scale(sensor: str, group: SensorColumns, request: Request) -> tuple[float, tuple[str, ...]]:
-    """Return the factor to SI units, by the unit of the request or else the header, and notes."""
-    unit, requested = group.unit, request.units.get(sensor)
-    if requested is not None:
-        scale, unit_notes = request.scale(sensor)
-        differs = unit is not None and (
-            not isinstance(requested, str) or factor(sensor, unit) != factor(sensor, requested)
-        )
-        return scale, (f"{unit_notes[0]}, though the header says {unit}",) if differs else unit_notes
-    return factor(sensor, unit), ()
+def _scale(sensor: str, group: SensorColumns, request: Request, notes: list[str]) -> float:
+    """Return the factor to SI units, by the unit of the request or else the header."""
+    scale = request.scale(sensor, factor(sensor, group.unit), notes)
+    if group.unit is not None and scale != factor(sensor, group.unit):
+        notes[-1] += f", though the header says {group.unit}"
+    return scale
 
 
 def _present(stream: Stream) -> Stream:

@@ -53,9 +53,7 @@ def read(path: Path, request: Request) -> Recording:
     Raises:
         MagycError: the archive has no magnetometer, or a table cannot be read.
     """
-    request.only("phone archive")
-    if request.stamps == "log":
-        raise MagycError("stamps='log': the tables of an archive have only one clock; leave the option out")
+    request.only("phone archive", clock="the clock of its tables")
     notes: list[str] = []
     sensors: dict[str, Stream] = {}
     with _opened(path) as archive:
@@ -123,8 +121,7 @@ def _stream(
         stamps = StampColumn(Path(f"{path}: {name}"), unit)
         numbers, stamp, _, table_notes = table.read([c.index for c in columns], time.index, stamps, lambda _: None)
         notes.extend(f"{name}: {note}" for note in table_notes)
-    scale, unit_notes = request.scale(sensor, factor(sensor, columns[0].unit or _UNIT[sensor]))
-    notes.extend(unit_notes)
+    scale = request.scale(sensor, factor(sensor, columns[0].unit or _UNIT[sensor]), notes)
     value = numbers.together(range(len(columns)))
     known = np.isfinite(value).any(axis=1)
     return Stream(name, stamp[known], value[known] * scale)

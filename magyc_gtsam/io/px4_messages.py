@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.px4_calibration import Parameters
@@ -84,13 +85,9 @@ def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters
     Raises:
         MagycError: pyulog is not installed, or the file is not a PX4 log.
     """
-    try:
+    with needs(f"{path}", "pyulog", "px4"):
         from pyulog import ULog
         from pyulog.exceptions import ULogException
-    except ImportError:
-        raise MagycError(
-            f"{path}: PX4 logs need pyulog; install it with: pip install 'magyc-gtsam[px4]'"
-        ) from None
     try:
         with _LogFile(path) as file, redirect_stdout(StringIO()):  # pyulog prints warnings about damage
             log = ULog(file, names)

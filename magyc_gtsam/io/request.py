@@ -53,25 +53,35 @@ class Request:
             raise MagycError(f"{sensor}: expected one topic or message, got {name!r}; columns are for text files")
         return name
 
-    def scale(self, sensor: str, native: float = 1.0) -> tuple[float, tuple[str, ...]]:
-        """Return the factor to SI units for a sensor, and a note if the caller named the unit.
+    def scale(self, sensor: str, native: float = 1.0, notes: list[str] | None = None) -> float:
+        """Return the factor to SI units for a sensor.
 
         Args:
             sensor: the quantity.
-            native: the factor if the caller named none.
+            native: the factor if the caller named no unit.
+            notes: receives a note if the caller named the unit.
         """
         unit = self.units.get(sensor)
         if unit is None:
-            return native, ()
+            return native
         text = f"{sensor} was read in {unit}" if isinstance(unit, str) else f"{sensor} was multiplied by {unit:g}"
-        return factor(sensor, unit), (f"{text}, as requested",)
+        if notes is not None:
+            notes.append(f"{text}, as requested")
+        return factor(sensor, unit)
 
-    def only(self, file_format: str, *known: str) -> None:
-        """Check that all `options` are known to the format.
+    def only(self, file_format: str, *known: str, clock: str = "") -> None:
+        """Check that the format knows all `options`, and the stamps asked for.
+
+        Args:
+            file_format: its name.
+            known: its options.
+            clock: the only clock of its logs, for the message; "" if the stamps can be chosen.
 
         Raises:
-            MagycError: an option is not in `known`.
+            MagycError: it does not.
         """
+        if clock and self.stamps == "log":
+            raise MagycError(f"stamps='log': a {file_format} log has only {clock}; leave the option out")
         wrong = sorted(set(self.options) - set(known))
         if wrong:
             offered = f"it has {', '.join(known)}" if known else "it has no options"

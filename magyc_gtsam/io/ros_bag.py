@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel, Schema
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo
@@ -100,12 +101,8 @@ def _in_blocks(place: Iterator[Any]) -> Iterator[list[Any]]:
 
 def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[Schema | Channel | Block]:
     """Yield the records of a ROS 1 bag; damage ends them with a note."""
-    try:
+    with needs(f"{path}", "rosbags", "ros"):
         from rosbags.rosbag1 import Reader
-    except ImportError:
-        raise MagycError(
-            f"{path}: ROS 1 bags need rosbags; install it with: pip install 'magyc-gtsam[ros]'"
-        ) from None
     try:
         with Reader(path) as bag:
             _limit_unpacking(bag, path)

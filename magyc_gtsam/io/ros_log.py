@@ -146,9 +146,8 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
                 )
             stamp, value = stamp[keep], value[keep]
         else:
-            scale, unit_notes = request.scale(sensor)
-            notes.extend(unit_notes)
-            if unit_notes:
+            scale = request.scale(sensor, notes=notes)
+            if scale != 1:
                 value *= scale
         result[sensor] = Stream(source.name, stamp, value)
         used.add(source.name)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo, Source
@@ -22,9 +23,7 @@ def read(path: Path, request: Request) -> Recording:
     Raises:
         MagycError: pymavlink is not installed, or the log has no magnetometer.
     """
-    request.only("MAVLink")
-    if request.stamps == "log":
-        raise MagycError("stamps='log': a telemetry log is read by the vehicle's stamps; leave the option out")
+    request.only("MAVLink", clock="the vehicle's stamps")
     rows = _rows(path, request)
     listed = ", ".join(f"{k} ({len(v)} messages)" for k, v in rows.items()) or "none"
     sensors = {}
@@ -37,8 +36,7 @@ def read(path: Path, request: Request) -> Recording:
         if named is None and not usable:
             continue
         kind = named or max(usable, key=lambda k: len(rows[k]))
-        scale, unit_notes = request.scale(sensor, MESSAGES[kind][2][sensor][1])
-        notes.extend(unit_notes)
+        scale = request.scale(sensor, MESSAGES[kind][2][sensor][1], notes)
         stamp = rows[kind][:, 0].astype(np.int64) * MESSAGES[kind][1]
         sensors[sensor] = Stream(kind, stamp, rows[kind][:, _column(sensor)].astype(np.float64) * scale)
     if "magnetic_field" not in sensors:
@@ -67,12 +65,8 @@ def _column(sensor: str) -> slice:
 
 def _rows(path: Path, request: Request) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
     """Return {message: (n, 10)}, stamp and three sensors in the message's units, of the vehicle with most messages."""
-    try:
+    with needs(f"{path}", "pymavlink", "ardupilot"):
         from pymavlink import mavutil
-    except ImportError:
-        raise MagycError(
-            f"{path}: telemetry logs need pymavlink; install it with: pip install 'magyc-gtsam[ardupilot]'"
-        ) from None
     vehicles: dict[int, dict[str, list[tuple[float, ...]]]] = {}
     try:
         log = mavutil.mavlink_connection(str(path), dialect="ardupilotmega", notimestamps=False)

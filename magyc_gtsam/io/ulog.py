@@ -45,9 +45,7 @@ def read(path: Path, request: Request) -> Recording:
     Raises:
         MagycError: pyulog is not installed, a message is missing, or the applied calibration cannot be undone.
     """
-    request.only("PX4")
-    if request.stamps == "log":
-        raise MagycError("stamps='log': a PX4 log has only the stamps of the sensors; leave the option out")
+    request.only("PX4", clock="the stamps of the sensors")
     channels = request.channels if request.channels is not None else _CHANNELS
     names = {m for fields in _MESSAGES.values() for m in fields} | {"vehicle_attitude", *_AUXILIARY}
     names |= {c.split(".")[0].split("[")[0] for c in channels}
@@ -62,8 +60,7 @@ def read(path: Path, request: Request) -> Recording:
     acceleration = _find(messages, "acceleration", request.named("acceleration"))
     if acceleration is not None:
         message, value = acceleration
-        scale, unit_notes = request.scale("acceleration")
-        notes.extend(unit_notes)
+        scale = request.scale("acceleration", notes=notes)
         sensors["acceleration"] = Stream(message.label, message.stamp * 1000, value * scale)
     attitude = _attitude(messages, request, notes)
     if attitude is not None:
@@ -171,8 +168,7 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
         rotated=message.name != "sensor_mag",
     )
     notes.extend(undone.notes)
-    scale, unit_notes = request.scale("magnetic_field", _GAUSS)
-    notes.extend(unit_notes)
+    scale = request.scale("magnetic_field", _GAUSS, notes)
     return Stream(message.label, stamp * 1000, undone.value * scale)
 
 
@@ -215,8 +211,7 @@ def _gyroscope(
     notes.extend(undone.notes)
     if parameters.initial.get("TC_G_ENABLE", 0):
         notes.append("the gyroscope's thermal correction (TC_G_*) was applied in flight and is kept")
-    scale, unit_notes = request.scale("angular_rate")
-    notes.extend(unit_notes)
+    scale = request.scale("angular_rate", notes=notes)
     stream = Stream(message.label, message.stamp * 1000, undone.value * scale)
     if combined and ("gyro_integral_dt" in message.data):
         notes.append(

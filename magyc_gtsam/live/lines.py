@@ -43,8 +43,8 @@ class Lines:
         self.count = 0
         self.refused = 0
         self._name, self._notes, self._arrival = name, notes, arrival
-        self._scale = {sensor: request.scale(sensor)[0] for sensor in SENSORS}
-        self._raw_scale = {sensor: request.scale(sensor, _PER_COUNT[sensor])[0] for sensor in SENSORS}
+        self._scale = {sensor: request.scale(sensor) for sensor in SENSORS}
+        self._raw_scale = {sensor: request.scale(sensor, _PER_COUNT[sensor]) for sensor in SENSORS}
         self._seen: set[str] = set()
         self._incomplete = b""
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.mavlink_messages import FILTERED, MESSAGES
@@ -58,12 +59,8 @@ class MavlinkSource:
             raise MagycError(
                 f"mavlink://{address}: write it as mavlink://udpin:127.0.0.1:14550, or name a serial port"
             )
-        try:
+        with needs(f"mavlink://{address}", "pymavlink", "ardupilot"):
             from pymavlink import mavutil
-        except ImportError:
-            raise MagycError(
-                f"mavlink://{address}: needs pymavlink; install it with: pip install 'magyc-gtsam[ardupilot]'"
-            ) from None
         self.name = f"mavlink://{address}"
         self.ended = False
         self.received = 0
@@ -159,7 +156,7 @@ class MavlinkSource:
             numbers = [getattr(message, field) for field in fields]
             measured = not updated or updated & _UPDATED[sensor] == _UPDATED[sensor]
             if measured and (sensor != "magnetic_field" or any(numbers)):
-                scale = self._request.scale(sensor, unit)[0]
+                scale = self._request.scale(sensor, unit)
                 values[sensor] = [number * scale for number in numbers]
         row = _Row(getattr(message, name) * nanoseconds / 1e9, self._arrival.now(), values)
         if self._chosen is not None:

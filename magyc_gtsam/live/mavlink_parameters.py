@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.live.mavlink import ADDRESS, BAUD
@@ -66,12 +67,8 @@ class VehicleParameters:
             raise MagycError(f"{source}: write it as mavlink://udpin:127.0.0.1:14550, or mavlink:///dev/ttyACM0")
         if target not in _AUTOPILOTS:
             raise MagycError(f"{target}: only {' and '.join(_AUTOPILOTS)} take parameters over MAVLink")
-        try:
+        with needs(source, "pymavlink", "ardupilot"):
             from pymavlink import mavutil
-        except ImportError:
-            raise MagycError(
-                f"{source}: needs pymavlink; install it with: pip install 'magyc-gtsam[ardupilot]'"
-            ) from None
         baud = int(match[2] or BAUD)
         try:
             with redirect_stdout(sys.stderr):  # pymavlink prints its errors to standard output

@@ -54,8 +54,7 @@ class McapFollower:
         self._request = request
         self._scale = {}
         for sensor in SENSORS:
-            self._scale[sensor], notes = request.scale(sensor)
-            self.notes.extend(notes)
+            self._scale[sensor] = request.scale(sensor, notes=self.notes)
         try:
             self._file: IO[bytes] = open(self._path, "rb", buffering=0)  # noqa: SIM115
         except OSError as error:

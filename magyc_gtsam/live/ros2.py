@@ -63,7 +63,7 @@ class Ros2Topics:
                 break
         rows, self._rows = self._rows, {sensor: [] for sensor in SENSORS}
         new = [samples_of(rows[sensor]) for sensor in SENSORS]
-        scales = [self._request.scale(sensor)[0] for sensor in SENSORS]
+        scales = [self._request.scale(sensor) for sensor in SENSORS]
         return NewSamples(*(s._replace(value=s.value * scale) for s, scale in zip(new, scales, strict=True)))
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.arrival import ArrivalClock
@@ -26,12 +27,8 @@ class SerialLines(SourceOfLines):
     """
 
     def __init__(self, port: str, baud: int, request: Request) -> None:
-        try:
+        with needs(port, "pyserial", "serial"):
             import serial
-        except ImportError:
-            raise MagycError(
-                f"{port}: serial ports need pyserial; install it with: pip install 'magyc-gtsam[serial]'"
-            ) from None
         self._problems = (serial.SerialException, OSError)
         try:
             self._port = serial.Serial(port, baud, timeout=0)

@@ -7,6 +7,7 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.limits import Limits
 
@@ -26,14 +27,10 @@ def serve(folder: Path, port: int, host: str | None, limits: Limits, ready: Call
     Raises:
         MagycError: the extra is not installed, the folder does not exist, or the address cannot be listened on.
     """
-    try:
+    with needs("the server", "starlette, uvicorn and websockets", "serve"):
         import uvicorn
 
         from magyc_gtsam.serve.application import Server, guarded
-    except ImportError as error:
-        raise MagycError(
-            f"the server needs {error.name}; install it with: pip install 'magyc-gtsam[serve]'"
-        ) from None
     if not folder.is_dir():
         raise MagycError(f"--folder {folder}: no such folder")
     family = socket.AF_INET6 if host is not None and ":" in host else socket.AF_INET

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.engine import Progress
+from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.storage.checksum import sha256
 from magyc_gtsam.storage.whole_file import whole_file
@@ -72,12 +73,8 @@ def fetch(folder: Path | None = None, address: str | None = None, progress: Prog
 
 
 def _pooch() -> Any:
-    try:
+    with needs("the leaderboard, without --folder", "pooch", "leaderboard"):
         import pooch
-    except ModuleNotFoundError:
-        raise MagycError(
-            "the leaderboard fetches with pooch; pip install 'magyc-gtsam[leaderboard]', or give --folder"
-        ) from None
     pooch.get_logger().setLevel("ERROR")
     return pooch
 
