@@ -70,6 +70,7 @@ class Incremental:
         self._convergence = Convergence(method, tolerance, relinearize_threshold)
         self._since = 0  # number of updates since the whole estimate was read
         self._current = True
+        self._unsolved = False  # whether iSAM2 is empty, because the factors determine nothing at the estimate
         self._kernels = WarmUp()
 
     @property
@@ -92,10 +93,11 @@ class Incremental:
         """Return the marginal covariance of one variable, at iSAM2's last linearisation point.
 
         Raises:
-            MagycError: the key is not in the graph.
+            MagycError: the key is not in the graph, or not determined.
         """
-        if not self._values.exists(key):
-            raise MagycError(f"{called(key, self._names)} is not in the graph")
+        if not self._values.exists(key) or self._unsolved:
+            problem = "not determined; add data, or a prior" if self._unsolved else "not in the graph"
+            raise MagycError(f"{called(key, self._names)} is {problem}")
         return np.asarray(self._isam.marginalCovariance(key))
 
     def update(
@@ -133,9 +135,7 @@ class Incremental:
         complete, moved, before = False, 0.0, list[gtsam.Values]()
         try:
             self._warm_up(members, new)
-            slots = [self._slots[handle] for handle in removed]
-            result = self._isam.update(added, new, slots)
-            new_slots = result.getNewFactorsIndices()
+            result, new_slots = self._added(added, new, removed)
             before.append(new)
             self._values.insert(new)
             moved = self._step(result, before, fresh, lost)
@@ -167,7 +167,35 @@ class Incremental:
         if _REFRESH * self._since >= self._values.size():
             self._read_all()
         prediction = self._prediction if self._current or steps > 1 else None
-        return self._convergence.result(handles, moved, prediction)
+        try:
+            return self._convergence.result(handles, moved, prediction)
+        except RuntimeError as problem:  # the full step from the new estimate does not exist
+            lost_key = undetermined(problem)
+            if lost_key is None:
+                raise
+            message = (
+                f"{called(lost_key, self._names)} is not determined at the new estimate; add data, or a prior"
+            )
+            return IncrementalResult(Status.STALLED, message, handles, moved)
+
+    def _added(
+        self, added: gtsam.NonlinearFactorGraph, new: gtsam.Values, removed: list[int]
+    ) -> tuple[gtsam.ISAM2Result, list[int]]:
+        """Add factors to iSAM2 and remove others; return its result and the slots of the added ones."""
+        if not self._unsolved:
+            result = self._isam.update(added, new, [self._slots[handle] for handle in removed])
+            return result, result.getNewFactorsIndices()
+        kept = [handle for handle in self._factors if handle not in removed]
+        every = _as_graph(
+            [*(self._factors[handle] for handle in kept), *(added.at(i) for i in range(added.size()))]
+        )
+        start = self._values.extract([key for key in every.keyVector() if not new.exists(key)])
+        start.insert(new)
+        result = self._isam.update(every, start)
+        slots = result.getNewFactorsIndices()
+        self._slots.update(zip(kept, slots, strict=False))
+        self._unsolved = False
+        return result, slots[len(kept) :]
 
     def _warm_up(self, added: list[Any], new: gtsam.Values) -> None:
         """Set the widths of the kernels in blocks from the misfit of the last blocks."""
@@ -244,8 +272,15 @@ class Incremental:
                 self._values.erase(key)
         self._isam = gtsam.ISAM2(self._parameters)
         if self._factors:
-            slots = self._isam.update(self._graph(), self._values).getNewFactorsIndices()
-            self._current = True
+            try:
+                slots = self._isam.update(self._graph(), self._values).getNewFactorsIndices()
+            except RuntimeError as problem:
+                if undetermined(problem) is None:
+                    raise
+                # The last step led to where the factors determine nothing: they are added again with the next ones.
+                self._isam, self._current, self._unsolved = gtsam.ISAM2(self._parameters), True, True
+                return
+            self._current, self._unsolved = True, False
             self._slots = dict(zip(self._factors, slots, strict=True))
 
 
