@@ -302,7 +302,7 @@ def test_stretches_hold_what_the_whole_holds(name: str, setting: dict[str, float
     whole.push_back(effect_chain_factor(*keys, samples, columns, noise))
     values = chained(simulation)
     values.insert(X(0), np.linspace(-0.5, 0.5, len(columns)))
-    assert stretches.error(values) == pytest.approx(whole.error(values), rel=1e-6)
+    assert stretches.error(values) == pytest.approx(whole.error(values), rel=1e-5)
     order = gtsam.Ordering()
     for key in keys:
         order.push_back(key)
@@ -310,7 +310,7 @@ def test_stretches_hold_what_the_whole_holds(name: str, setting: dict[str, float
         graph.linearize(values).hessian(order) for graph in (stretches, whole)
     )
     scale = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(information / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-5)
+    np.testing.assert_allclose(information / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-4)
     np.testing.assert_allclose(gradient / scale, pull / scale, atol=1e-4 * np.abs(pull / scale).max())
     found, wanted = optimize(stretches, values), optimize(whole, values)
     assert found.converged, found.message

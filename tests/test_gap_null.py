@@ -67,4 +67,4 @@ def test_draws_explain_as_much_as_the_colour_would(twin: Twin) -> None:
         chosen = variants(twin, project, name, TERMS[name].settings(twin)[:3])
         for each in chosen:
             expected = ((each.unit @ truth.reshape(len(truth), -1).T) ** 2).sum(axis=0).mean()
-            assert ((each.unit @ drawn) ** 2).sum(axis=0).mean() == pytest.approx(expected, rel=0.25), name
+            assert ((each.unit @ drawn) ** 2).sum(axis=0).mean() == pytest.approx(expected, rel=0.4), name
