@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.by_attitude import attitude, main_axis, tilt
 from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
@@ -46,7 +47,7 @@ class ColumnFamily:
         first: whether it belongs to the first test, which decides whether the others are tested.
         of_place: whether it is a variation of the ambient field.
         of_iron: whether it is a variation of the hard iron; its size then adds to the hard iron's sigma.
-        unit: "field", "rate" (rad/s), "share", "time" (s) or "filter" (s²).
+        unit: "field", "rate" (rad/s), "share", "angle" (rad), "time" (s) or "filter" (s²).
         waves: number of half waves in the recording, from (inclusive) and to (exclusive); None if not a function of
             time.
         prior: prior odds of the effect.
@@ -58,6 +59,8 @@ class ColumnFamily:
         from_rate: whether the columns depend on changes of the measured rate of turn.
         mixed: whether some linear combinations of the columns consist of the gyroscope's noise, or vary faster than the
             windows resolve, and are to be removed.
+        only_beside: whether it is added to the families that are shown instead of being fitted with them, because it
+            resembles several of them and would take their place.
     """
 
     name: str
@@ -76,6 +79,7 @@ class ColumnFamily:
     octaves: int = 6
     from_rate: bool = False
     mixed: bool = False
+    only_beside: bool = False
 
     def columns_of(self, motion: WindowMotion) -> Columns:
         """Return the columns of a motion; on the gyroscope they include the motion while the field was not measured."""
@@ -100,9 +104,12 @@ class ColumnFamily:
 
     def sentence(self, size: float, period: float | None) -> str:
         """Return a sentence on what it acts on and its size."""
-        scale, unit = {"field": (1e6, "µT"), "rate": (1e3, "mrad/s"), "share": (1e2, "%")}.get(
-            self.unit, (1e3, "ms")
-        )
+        scale, unit = {
+            "field": (1e6, "µT"),
+            "rate": (1e3, "mrad/s"),
+            "share": (1e2, "%"),
+            "angle": (np.degrees(1), "°"),
+        }.get(self.unit, (1e3, "ms"))
         shown = f"{scale * size:.2g} {unit}"
         return self.place.format(shown)
 
@@ -132,29 +139,10 @@ def _third(vector: Array) -> Array:
     )
 
 
-def _main_axis(vector: Array) -> Array:
-    """Return the axis (3,) along which vectors (3, n) are largest."""
-    return np.asarray(np.linalg.eigh(vector @ vector.T)[1][:, -1])
-
-
 def _skew(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a misalignment between the chips, the antisymmetric part of the soft iron."""
     turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
     return UnmodelledColumns(np.einsum("ab,bkn->kan", motion.soft_iron, turned), None)
-
-
-def _attitude(motion: WindowMotion) -> Products:
-    """Return columns linear in the attitude in world axes: a field gradient times a lever arm, rigid or a person's."""
-    return motion.in_world(motion.attitude.swapaxes(0, 1).reshape(9, -1) * np.sqrt(3.0))
-
-
-def _tilt(motion: WindowMotion) -> Products:
-    """Return columns linear in the vertical, along the sensor's axes: currents and loads that follow pitch or roll.
-
-    The vertical is the axis of the world about which the instrument turns most; the 27 columns of all axes gain less.
-    """
-    vertical = _main_axis(np.einsum("jin,jn->in", motion.attitude, motion.rate))
-    return motion.in_sensor(np.einsum("ijn,j->in", motion.attitude, vertical) * np.sqrt(3.0))
 
 
 def _speed(motion: WindowMotion) -> Products:
@@ -213,7 +201,7 @@ def _halves(motion: WindowMotion) -> UnmodelledColumns:
 
 def _directions(motion: WindowMotion) -> UnmodelledColumns:
     """Return columns that differ between the two senses of turn about the axis of most rotation."""
-    return _split(motion, np.sign(_main_axis(motion.rate) @ motion.rate))
+    return _split(motion, np.sign(main_axis(motion.rate) @ motion.rate))
 
 
 def _speeds(motion: WindowMotion) -> UnmodelledColumns:
@@ -271,8 +259,8 @@ FAMILIES = (
     _in_time("wander:fast", _VARIES, WindowMotion.in_world, 0.05, _FASTER, of_place=True),
     _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, first=True, of_iron=True, at_end=_drift_at_end(SLOW)),
     _in_time("drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)),
-    ColumnFamily("attitude", _GOES, _attitude, 0.03, 9, first=True, of_place=True, prior=SELDOM),
-    ColumnFamily("tilt", _LEANS, _tilt, 0.03, 3, first=True),
+    ColumnFamily("attitude", _GOES, attitude, 0.03, 9, first=True, of_place=True, prior=SELDOM),
+    ColumnFamily("tilt", _LEANS, tilt, 0.03, 3, first=True),
     ColumnFamily("skew", "the chips' axes are misaligned by {} of the field", _skew, 0.035, 2, first=True),
     ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
     ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),

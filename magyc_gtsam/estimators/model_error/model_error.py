@@ -125,7 +125,8 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
     found = []
     if max(each.gain for each in every) > _SUSPECT:
         every += tested(beside, motion, [family for family in families if not family.first])
-        found = sorted((each for each in every if each.gain > _SIGNIFICANT), key=lambda each: -each.gain)
+        found = [each for each in every if each.gain > _SIGNIFICANT and not each.family.only_beside]
+        found.sort(key=lambda each: -each.gain)
     shown = shown_by(beside, motion, found)
     averaged = not_excluded(beside, motion, every, shown)
     reported = tuple(c for c in averaged if c.share > _REPORTED_SHARE and c.gain > _REPORTED_GAIN)

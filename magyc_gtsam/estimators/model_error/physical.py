@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.by_attitude import flex
 from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, LIKELY, USUAL, ColumnFamily
 from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import RateErrors, UnmodelledColumns
@@ -52,9 +53,15 @@ def _dead_zone(motion: WindowMotion) -> UnmodelledColumns:
 
 
 def _play(motion: WindowMotion) -> UnmodelledColumns:
-    """Return the columns of a hysteresis: the reading lags the field by up to `_WIDTH` in either direction."""
+    """Return the columns of a hysteresis: the reading lags the field by up to `_WIDTH`, and sweeps less than the field.
+
+    A play of half width w takes about the share w / A of a sweep of amplitude A. The lag is seen; the smaller sweep has
+    the form of the iron, and depends on widths that the lag does not tell.
+    """
     behind = (_followed(motion.reading, _WIDTH) - motion.reading) / _WIDTH
-    return UnmodelledColumns(_each_axis(motion.strength * behind), None)
+    less = motion.reading.mean(axis=1, keepdims=True) - motion.reading
+    less /= np.maximum(np.sqrt(2 * np.mean(less**2, axis=1, keepdims=True)), ALIKE * motion.strength)
+    return UnmodelledColumns(motion.strength * np.concatenate([_each_axis(behind), _each_axis(less)]), None)
 
 
 def _followed(values: Array, width: float) -> Array:
@@ -174,6 +181,15 @@ PHYSICAL = (
         prior=USUAL,
     ),
     ColumnFamily("play", "the reading stays behind the field by {}", _play, 0.05, prior=USUAL),
+    ColumnFamily(
+        "flex",
+        "the mount gives way by {} per g",
+        flex,
+        0.1,
+        prior=USUAL,
+        unit="angle",
+        only_beside=True,
+    ),
     ColumnFamily(
         "late axis",
         "axes of the magnetometer are late by {}",
