@@ -101,6 +101,7 @@ def test_terms_count_as_they_stand_at_the_end() -> None:
     off = score(named(0.5 * step, 2e-6), end=600.0)
     assert off.outcome == "right and trusted"  # within the step's own sigma
     assert off.hard_iron_sigmas == pytest.approx(2e-6 / np.hypot(1e-7, 2e-6))
+    assert off.axes_covered == 1
     remembering = replace(named(step, 1e-7), terms=(*named(step, 1e-7).terms, loop))
     assert score(remembering, end=600.0).hard_iron < 1e-9  # a loop needs what came before
     tone = Term("tone", np.full(6, 5e-6), 1e-16 * np.eye(6), {"frequency": 0.3})
@@ -173,13 +174,14 @@ def test_it_runs_in_processes_and_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_coverage_is_that_of_faults_that_no_data_show() -> None:
     def row(shows: bool, *sigmas: float | None) -> dict[str, object]:
-        return {"shows": shows, "hard_iron_sigmas": sigmas[0], "heading_sigmas": sigmas[1]}
+        names = ("hard_iron_sigmas", "heading_sigmas", "axes_covered")
+        return {"shows": shows, **dict(zip(names, sigmas, strict=True))}
 
-    rows = [row(False, 0.5, 2.0), row(False, 0.9, 0.1), row(False, 3.0, 4.0), row(False, None, None)]
-    assert running.covered([*rows, row(True, 9.0, 9.0)]) == running.SigmaCoverage(
-        3, pytest.approx(2 / 3), pytest.approx(1 / 3)
-    )
-    assert running.covered([row(True, 0.1, 0.1)]) is None
+    rows = [row(False, 0.5, 2.0, 1.0), row(False, 0.9, 0.1, 1.0), row(False, 3.0, 4.0, 1 / 3)]
+    assert running.covered(
+        [*rows, row(False, None, None, None), row(True, 9.0, 9.0, 0.0)]
+    ) == running.SigmaCoverage(3, pytest.approx(7 / 9), pytest.approx(2 / 3), pytest.approx(1 / 3))
+    assert running.covered([row(True, 0.1, 0.1, 1.0)]) is None
 
 
 def test_unknown_names_are_refused() -> None:

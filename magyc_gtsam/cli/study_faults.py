@@ -108,7 +108,8 @@ def faults(
     if hidden is not None:
         show(
             f"{hidden.count} results under faults that resemble misaligned chips, trusted or not: hard iron within one "
-            f"stated sigma on its worst axis in {hidden.hard_iron:.0%}, heading at its worst in {hidden.heading:.0%}"
+            f"stated sigma on {hidden.axes:.0%} of its axes, on its worst axis in {hidden.hard_iron:.0%}, heading at "
+            f"its worst in {hidden.heading:.0%}"
         )
     show(f"{folder / 'faults.parquet'}")
     bad = [c for c in table if FAULTS[c.fault].shows and 30 * c.counts[OUTCOMES[0]] > sum(c.counts.values())]

@@ -57,9 +57,16 @@ class OutcomeCounts:
 
 @dataclass(frozen=True)
 class SigmaCoverage:
-    """Number of calibrations, and shares in which the largest error is within one stated sigma."""
+    """Number of calibrations, and shares within one stated sigma.
+
+    Attributes:
+        count: number of calibrations.
+        axes: share of the hard iron's axes, 0.68 of an honest covariance.
+        hard_iron, heading: share of calibrations in which the largest error is, 0.32 of three independent axes.
+    """
 
     count: int
+    axes: float
     hard_iron: float
     heading: float
 
@@ -184,8 +191,10 @@ def covered(rows: Iterable[Mapping[str, Any]]) -> SigmaCoverage | None:
 
     Untrusted results count as well, since the stated sigma must cover such faults.
     """
-    names = ("hard_iron_sigmas", "heading_sigmas")
-    hidden = [row for row in rows if not row["shows"] and all(row[name] is not None for name in names)]
+    names = ("axes_covered", "hard_iron_sigmas", "heading_sigmas")  # a row of an older run has no share of axes
+    hidden = [row for row in rows if not row["shows"] and all(row.get(name) is not None for name in names)]
     if not hidden:
         return None
-    return SigmaCoverage(len(hidden), *(float(np.mean([row[name] <= 1.0 for row in hidden])) for name in names))
+    axes = float(np.mean([row["axes_covered"] for row in hidden]))
+    largest = (float(np.mean([row[name] <= 1.0 for row in hidden])) for name in names[1:])
+    return SigmaCoverage(len(hidden), axes, *largest)

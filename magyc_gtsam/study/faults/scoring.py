@@ -31,6 +31,7 @@ class FaultScore:
         outcome: one of OUTCOMES.
         hard_iron, heading: largest error in T and deg (over a level turn); NaN without a calibration.
         hard_iron_sigmas, heading_sigmas: largest errors in stated sigmas.
+        axes_covered: share of the hard iron's three axes on which its error is within one stated sigma.
         message: the message of the result.
     """
 
@@ -39,6 +40,7 @@ class FaultScore:
     hard_iron_sigmas: float
     heading: float
     heading_sigmas: float
+    axes_covered: float
     message: str
 
     def row(self) -> dict[str, Any]:
@@ -48,12 +50,12 @@ class FaultScore:
 
 def refused(message: str) -> FaultScore:
     """Return the score of a method without a calibration."""
-    return FaultScore("refused", np.nan, np.nan, np.nan, np.nan, message)
+    return FaultScore("refused", np.nan, np.nan, np.nan, np.nan, np.nan, message)
 
 
 def crashed(error: Exception) -> FaultScore:
     """Return the score of a method that ended in an unexpected exception, which is a defect."""
-    return FaultScore("crashed", np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
+    return FaultScore("crashed", np.nan, np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
 
 
 def score(
@@ -85,6 +87,7 @@ def score(
         float((off / sigma).max()),
         float(heading.max()),
         float((heading / heading_sigma).max()),
+        float((off <= sigma).mean()),
         calibration.message,
     )
 
