@@ -21,8 +21,8 @@ from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
 # Prior odds of an effect. They determine the cost for clean logs (ten minutes at 10 Hz): the mean NEES falls from 11 by
-# 0.5 to 0.7, on tiny motion by 1.2, and the axis of hard iron and bias that is widened most is wider by a median factor
-# of 1.05 to 1.06, on tiny motion 1.13. The NEES is 11 over instruments that have such errors as often as these odds
+# 0.4 to 0.7, on tiny motion by 1.1, and the axis of hard iron and bias that is widened most is wider by a median factor
+# of 1.05 to 1.07, on tiny motion 1.13. The NEES is 11 over instruments that have such errors as often as these odds
 # state. Even odds for a bend would widen it by a factor of 1.04 to 1.12; a 2 % bend would then still be missed in 11 of
 # 60 logs on moderate and on tiny motion, instead of in 15 and 19 (23 and 27 with COMMON odds).
 EVEN = 1.0  # effects of which another measured quantity gives the size
