@@ -88,7 +88,7 @@ def test_two_effects_of_one_recording_are_one_factor() -> None:
         differences, sigmas = deviations(recording, found, length)
         for difference, sigma in zip(differences, sigmas, strict=True):
             assert np.all(np.abs(difference) < 1.0)
-            assert np.all(np.abs(sigma - 1) < 0.05)
+            assert np.all(np.abs(sigma - 1) < 0.1)  # a term's own has the model error beside the noise
 
 
 def test_a_timing_beside_another_effect_is_the_delay_of_their_factor() -> None:
