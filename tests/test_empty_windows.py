@@ -41,7 +41,7 @@ def test_a_scale_moves_the_parameters_across_gaps_as_a_new_fit_does(recording) -
     wrong = with_gaps(recording, bias + (recording.gyroscope.value - bias) * (1 + scale))
     again = descend(fit_field_chain(wrong)[0], settled=1e-10)
     moved = (again.state.parameters - fit.state.parameters) / sigma
-    assert np.abs(expected).max() > 0.4
+    assert np.abs(expected).max() > 0.3
     np.testing.assert_allclose(moved, expected, atol=0.06)  # without what happens in the gaps 0.12
 
 
@@ -51,7 +51,7 @@ def test_gaps_say_nothing_of_a_gyroscopes_scale(recording) -> None:
     scales = [next(t.covariance for t in c.terms if t.name == "gyro-scale") for c in (whole, gapped)]
     for before, after in (scales, [c.covariance[6:9, 6:9] for c in (whole, gapped)]):
         ratio = np.sqrt(np.diag(after) / np.diag(before))
-        assert np.all((ratio > 0.9) & (ratio < 1.6)), ratio
+        assert np.all((ratio > 0.9) & (ratio < 2.0)), ratio
 
 
 def test_rotation_and_rate_of_empty_windows_are_those_of_the_whole_log(recording) -> None:

@@ -251,7 +251,7 @@ def test_on_the_command_line(
 ) -> None:
     logs = tmp_path_factory.mktemp("logs")
     write_mcap(logs / "stuck.mcap", frozen(wide.recording, "angular_rate", 0))
-    mistaken(f"calibrate {logs}/stuck.mcap -o out", "axis x of the gyroscope is stuck at 74.25 mrad/s")
+    mistaken(f"calibrate {logs}/stuck.mcap -o out", "axis x of the gyroscope is stuck at ")
     write_mcap(logs / "part.mcap", frozen(wide.recording, "magnetic_field", 1, 60.0, 90.0))
     assert main(["calibrate", f"{logs}/part.mcap", "-o", f"{logs}/out"]) == 0
     assert "left out: magnetic_field: axis y of the magnetometer is stuck" in capsys.readouterr().out

@@ -369,7 +369,7 @@ def test_the_message_and_the_numbers_say_what_is_noise_and_what_is_not() -> None
 
 
 def test_few_windows_say_nothing() -> None:
-    fit = fit_field_chain(simulate("wide", duration=20, seed=1).recording)[0]
+    fit = fit_field_chain(simulate("wide", duration=18, seed=1).recording)[0]
     assert len(fit.chain.windows) < 30
     assert not model_error(fit).components
 
