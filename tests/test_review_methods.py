@@ -391,7 +391,7 @@ def test_a_narrow_band_is_not_trusted():
     ("name", "options", "words"),
     [
         ("twostep", {"tolerance": 0}, "tolerance: must be a number above 0, got 0"),
-        ("twostep", {"noise": (-1e-6, 1.0)}, "noise: must be a number above 0"),
+        ("twostep", {"noise": (-1e-6, 1.0)}, "noise: must be a pair"),
         ("crassidis", {"offset_sigma": "wide"}, "offset_sigma: must be .* got 'wide'"),
         ("dorveaux", {"max_iterations": -3}, "max_iterations: must be .* got -3"),
         ("magical", {"tolerance": float("nan")}, "tolerance: must be .* got nan"),
