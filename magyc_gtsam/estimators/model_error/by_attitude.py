@@ -9,11 +9,6 @@ from magyc_gtsam.estimators.smoother.columns import Products
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
 
-def main_axis(vector: Array) -> Array:
-    """Return the axis (3,) along which vectors (3, n) are largest."""
-    return np.asarray(np.linalg.eigh(vector @ vector.T)[1][:, -1])
-
-
 def attitude(motion: WindowMotion) -> Products:
     """Return columns linear in the attitude in world axes: a field gradient times a lever arm, rigid or a person's."""
     return motion.in_world(motion.attitude.swapaxes(0, 1).reshape(9, -1) * np.sqrt(3.0))
@@ -24,7 +19,7 @@ def tilt(motion: WindowMotion) -> Products:
 
     The 27 columns of all axes of the world gain less.
     """
-    return motion.in_sensor(_vertical(motion) * np.sqrt(3.0))
+    return motion.in_sensor(vertical(motion) * np.sqrt(3.0))
 
 
 def flex(motion: WindowMotion) -> Products:
@@ -32,13 +27,16 @@ def flex(motion: WindowMotion) -> Products:
 
     The sensor turns in the field and in the iron of the vehicle.
     """
-    felt = _vertical(motion)
+    felt = vertical(motion)
     felt -= felt.mean(axis=1, keepdims=True)
     turned = cross(np.eye(3)[:, :, None], motion.reading[:, None])  # e_k × m, (3, k, n)
     return Products(felt, turned.swapaxes(0, 1))
 
 
-def _vertical(motion: WindowMotion) -> Array:
-    """Return (3, n) the vertical in the sensor's axes, the axis of the world about which the instrument turns most."""
-    vertical = main_axis(np.einsum("jin,jn->in", motion.attitude, motion.rate))
-    return np.asarray(np.einsum("ijn,j->in", motion.attitude, vertical))
+def vertical(motion: WindowMotion) -> Array:
+    """Return (3, n) the vertical in the sensor's axes: the axis of the world whose direction in these varies least.
+
+    A buoy that rolls faster than it spins turns most about a horizontal axis.
+    """
+    steady = np.linalg.svd(motion.attitude.mean(axis=2))[2][0]
+    return np.asarray(np.einsum("ijn,j->in", motion.attitude, steady))

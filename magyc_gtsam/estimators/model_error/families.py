@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.by_attitude import attitude, main_axis, tilt
+from magyc_gtsam.estimators.model_error.by_attitude import attitude, tilt
 from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
@@ -139,6 +139,11 @@ def _third(vector: Array) -> Array:
     )
 
 
+def _main_axis(vector: Array) -> Array:
+    """Return the axis (3,) along which vectors (3, n) are largest."""
+    return np.asarray(np.linalg.eigh(vector @ vector.T)[1][:, -1])
+
+
 def _skew(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a misalignment between the chips, the antisymmetric part of the soft iron."""
     turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
@@ -201,7 +206,7 @@ def _halves(motion: WindowMotion) -> UnmodelledColumns:
 
 def _directions(motion: WindowMotion) -> UnmodelledColumns:
     """Return columns that differ between the two senses of turn about the axis of most rotation."""
-    return _split(motion, np.sign(main_axis(motion.rate) @ motion.rate))
+    return _split(motion, np.sign(_main_axis(motion.rate) @ motion.rate))
 
 
 def _speeds(motion: WindowMotion) -> UnmodelledColumns:
