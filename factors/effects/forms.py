@@ -20,6 +20,7 @@ from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.factors.errors import MagycError
 
 Setting = Mapping[str, float]
+_COERCIVE = (np.arange(8) + 0.5) / 8  # coercive fields of the pieces of a hysteresis, relative to the largest
 RATE_MATRIX = ("x", "y", "z", "xy", "xz", "yz")  # elements of a symmetric matrix that multiplies the rate
 
 
@@ -195,40 +196,61 @@ def _local_anomaly(s: Signals, setting: Setting) -> Array:
 
 
 def _saturation(s: Signals, setting: Setting) -> Array:
-    """Return the column of the excess over the level, with a smooth knee of some width where the setting has one."""
-    reading = s.need("field") + s.need("hard_iron")[:, None]
+    """Return the column of the excess over the level, from which the slope falls linearly over a knee, if it has one.
+
+    Cores saturate within a finite field: hyperbolic tangent, Langevin's function and others from a level on differ
+    from this by 0.004 % to 0.06 % of the lost power, two to five times less than from a logistic slope.
+    """
+    reading = s.path + s.need("hard_iron")[:, None, None]
     level, knee = setting["level"], setting.get("knee", 0.0)
 
     def beyond(value: Array) -> Array:
-        over = value - level
-        result: Array = knee * np.logaddexp(0.0, over / knee) if knee > 0 else np.maximum(over, 0.0)
+        over = np.maximum(value - level, 0.0)
+        result: Array = np.where(over < knee, 0.5 * over**2 / knee, over - 0.5 * knee) if knee > 0 else over
         return result
 
-    return (beyond(-reading) - beyond(reading))[None]
+    return (beyond(-reading) - beyond(reading)).mean(axis=-1)[None]
 
 
 def _cubic(s: Signals, setting: Setting) -> Array:
     """Return the columns per axis, of the reading in units of 50 µT, so that the value is the effect in T at 50 µT."""
-    reading = (s.need("field") + s.need("hard_iron")[:, None]) / 50e-6
-    return np.eye(3)[:, :, None] * reading**3
+    reading = (s.path + s.need("hard_iron")[:, None, None]) / 50e-6
+    return np.eye(3)[:, :, None] * (reading**3).mean(axis=-1)
 
 
 def _hysteresis(s: Signals, setting: Setting) -> Array:
-    """Return the columns of a Duhem (Dahl) loop of width `width` T: dz/dy = 1 − sgn(ẏ) z, y in units of the width.
+    """Return the columns of loops by Rayleigh's law for weak fields, in units of `width` T.
 
-    y is the field along (x, y, z), while the loop's own field may have another direction; without a direction, each
-    axis has its own loop.
+    A piece of iron with a coercive field r adds the change of the field along it until that is ±r, and then ±r (the
+    stop operator of Prandtl and Ishlinskii). Equally many pieces of each r up to the width have loops of two parabolas,
+    the smaller ones inside the larger ones. The field acts along (x, y, z), while the loop's own field may have another
+    direction; without a direction, each axis has its own loop.
     """
-    field = s.need("field")
-    if field.shape[1] < 2:
+    path = s.path
+    if path.shape[1] < 2:
         raise MagycError("hysteresis: it depends on what came before, so it needs the whole recording")
     along = np.eye(3) if "x" not in setting else np.array([[setting["x"], setting["y"], setting["z"]]])
-    y = along @ field / setting["width"]
-    step = np.diff(y)
-    decay, sign = np.exp(-np.abs(step)), np.sign(step)
-    gain = np.column_stack([np.zeros(len(y)), sign * (1 - decay)])
-    z = np.concatenate([_remembered(each, driven[None]) for each, driven in zip(decay, gain, strict=True)])
-    return np.eye(3)[:, :, None] * z
+    loop = _stopped(along @ path.reshape(3, -1) / setting["width"], _COERCIVE).mean(axis=0)
+    return np.eye(3)[:, :, None] * loop.reshape(len(loop), *path.shape[1:]).mean(axis=-1)
+
+
+def _stopped(y: Array, limits: Array) -> Array:
+    """Return sₙ = clip(sₙ₋₁ + yₙ − yₙ₋₁, −r, r), s₀ = 0, (l, k, n) for limits r (l,) and signals y (k, n).
+
+    Each step is a function s → clip(s + a, low, high), and so is a sequence of steps: the sequences from the first
+    sample are composed by doubling.
+    """
+    n = y.shape[1]
+    change = np.tile(np.diff(y, prepend=y[:, :1]), (len(limits), 1, 1))
+    high = np.broadcast_to(limits[:, None, None], change.shape).copy()
+    low, shift = -high, 1
+    while shift < n:
+        later, at = change[..., shift:], (low[..., shift:].copy(), high[..., shift:].copy())
+        low[..., shift:] = np.clip(low[..., :-shift] + later, *at)
+        high[..., shift:] = np.clip(high[..., :-shift] + later, *at)
+        change[..., shift:] = later + change[..., :-shift]
+        shift *= 2
+    return np.clip(change, low, high)
 
 
 def _tone(s: Signals, setting: Setting) -> Array:

@@ -24,6 +24,7 @@ class Signals:
         time: (n,) s, as in the recording.
         field: (3, n) T, soft iron times the true field: the reading less hard iron and noise.
         field_rate: (3, n) T/s, its time derivative.
+        within: (3, n, k) T, the field at k instants of each window, where the rows are means over windows.
         hard_iron: (3,) T.
         rate: (3, n) rad/s, true angular rate.
         to_sensor: (3, 3, n) rotation of a world frame into the sensor's.
@@ -34,6 +35,7 @@ class Signals:
     time: Array
     field: Array | None = None
     field_rate: Array | None = None
+    within: Array | None = None
     hard_iron: Array | None = None
     rate: Array | None = None
     to_sensor: Array | None = None
@@ -54,6 +56,11 @@ class Signals:
             )
         array: Array = value
         return array
+
+    @property
+    def path(self) -> Array:
+        """Return the field (3, n, k) within each row, for an effect that is not linear in it."""
+        return self.need("field")[:, :, None] if self.within is None else self.within
 
 
 CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(

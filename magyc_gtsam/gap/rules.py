@@ -110,8 +110,6 @@ class Rules:
         0.12  # share lost beyond a level by clipping; a smaller loss is a slight bend, a gain is neither
     )
     bent_loss: float = 0.3  # share lost beyond a level by saturation over a knee; a cubic loses less
-    widest_loop: float = 0.3  # of the field's span, of a hysteresis; right names had 0.2 at most, wrong ones 0.3
-    no_loop: float = 0.95  # of the widest loop, above which a fit has reached the limit and is rejected
     same_row: float = 0.99  # correlation above which two rows of a channel are the same
 
     # What could not be found.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import product
+
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
@@ -11,11 +14,12 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
-_KNEES = (0.05, 0.15)  # shares of the largest reading over which a core saturates
+_KNEES = (0.0, 0.5, 1.0)  # widths over which a core saturates, relative to what is read beyond the level
 _NEAR = np.linspace(0.9, 1.1, 41)  # levels relative to the likeliest one, tried with each fine knee
-_FINE_KNEES = (0.0, 0.025, 0.05, 0.075, 0.1, 0.125, 0.15)  # shares of the largest reading
-_FOOT = 2.0  # knees below the level, where the loss is an eighth of the final one
-_WIDTHS = (0.1, 0.33, 1.0)  # loop widths that are tried, relative to the widest
+_FINE_KNEES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
+_SOFT = 0.1  # knee relative to the level; a smaller one is what noise makes of a sharp level
+_COERCIVE = (0.05, 0.15, 0.5)  # largest coercive fields that are tried, relative to the span of the field
+_FINE_COERCIVE = (0.5, 0.7, 1.0, 1.4, 2.0)  # relative to the likeliest one
 
 
 def _reading(twin: Twin) -> Array:
@@ -24,36 +28,37 @@ def _reading(twin: Twin) -> Array:
 
 
 def _levels(twin: Twin) -> list[dict[str, float]]:
-    largest = float(_reading(twin).max())
     shares = (0.6, 0.7, 0.78, 0.84, 0.89, 0.93, 0.96, 0.98)
-    tried = [{"level": largest * share, "knee": largest * knee} for knee in (0.0, *_KNEES) for share in shares]
-    return _read_beyond(tried, largest)
+    largest = float(_reading(twin).max())
+    return _with_knees([largest * share for share in shares], _KNEES, largest)
 
 
 def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    largest = float(_reading(twin).max())
-    tried = [{"level": setting["level"] * near, "knee": largest * knee} for near in _NEAR for knee in _FINE_KNEES]
-    return _read_beyond(tried, largest)
+    return _with_knees(setting["level"] * _NEAR, _FINE_KNEES, float(_reading(twin).max()))
 
 
-def _read_beyond(tried: list[dict[str, float]], largest: float) -> list[dict[str, float]]:
-    """Return the settings whose knee lies within the readings: the loss beyond them would be a guess."""
-    return [each for each in tried if each["level"] + each["knee"] <= largest]
+def _with_knees(levels: Iterable[float], knees: Iterable[float], largest: float) -> list[dict[str, float]]:
+    """Return the settings. A knee ends within the readings: the loss beyond them would be a guess."""
+    return [
+        {"level": float(level), "knee": float((largest - level) * knee)}
+        for level, knee in product(levels, knees)
+        if level < largest
+    ]
 
 
 def _loops(twin: Twin) -> list[dict[str, float]]:
-    """Return loops on each axis and along thirteen directions, with several widths."""
-    widths = [_widest(twin) * share for share in _WIDTHS]
+    """Return loops on each axis and along thirteen directions, with several coercive fields."""
+    widths = [_span(twin) * share for share in _COERCIVE]
     return [where | {"width": width} for width in widths for where in ({}, *directions())]
 
 
-def _widest(twin: Twin) -> float:
-    """Return the largest width of a loop that closes, T: a wider one acts as a non-linear gain."""
-    return RULES.widest_loop * float(np.ptp(twin.windows.need("field"), axis=1).max())
+def _span(twin: Twin) -> float:
+    return float(np.ptp(twin.windows.need("field"), axis=1).max())
 
 
 def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    widths = [min(setting["width"] * share, _widest(twin)) for share in (0.5, 0.7, 1.0, 1.4, 2.0)]
+    largest = _COERCIVE[-1] * _span(twin)  # no iron with a larger one changes its direction
+    widths = sorted({min(setting["width"] * share, largest) for share in _FINE_COERCIVE})
     where = [{}] if "x" not in setting else directions_nearby(setting)
     return [place | {"width": width} for width in widths for place in where]
 
@@ -65,9 +70,7 @@ def _least_loss(setting: Setting) -> float:
 
 def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
     level, knee = setting["level"], setting.get("knee", 0.0)
-    soft = knee >= _KNEES[0] * level  # a smaller knee is what noise makes of a sharp level
-    how = "saturates softly from" if soft else "clips at"
-    level -= _FOOT * knee if soft else 0.0
+    how = "saturates softly from" if knee >= _SOFT * level else "clips at"
     return f"the magnetometer {how} about {level * 1e6:.0f} µT: raise its range, or move the magnet away"
 
 
@@ -120,5 +123,4 @@ HYSTERESIS = EffectTerm(
     motion="turn through the same headings slowly and fast, both ways",
     settings=_loops,
     refined=_loops_nearby,
-    possible=lambda twin, value, setting: setting["width"] < RULES.no_loop * _widest(twin),
 )

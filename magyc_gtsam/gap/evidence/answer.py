@@ -12,12 +12,12 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
+from magyc_gtsam.gap.evidence.names import key_of
 from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, smoothed, without
 from magyc_gtsam.gap.evidence.posterior import (
     Set,
     SetWeight,
-    key_of,
     normalised,
     sensor_variation,
     summed,
@@ -69,7 +69,7 @@ def answer(
     level = short_term
     left_out: list[NoiseScore] = []
     fine = fine or fine_innovations(given, model)
-    coarse = quantisation(given, fine.level)
+    coarse = quantisation(given, fine.white)
     stepped = coarse.significant and coarse.name in names
     if stepped:  # certain, and it would be taken for a non-linear reading
         said[coarse.name] = PRIOR.certain

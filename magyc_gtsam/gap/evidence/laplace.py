@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -77,18 +78,50 @@ class Terms:
         return cls(base, columns, score_biases[places] * scale, np.concatenate(of_term), residual)
 
 
-def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Array, float]:
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What the terms of a model explain beside the rest: information (k, k), score (k,) and term (k,) of each value."""
+
+    information: Array
+    score: Array
+    of_term: np.ndarray
+
+    def powers(self, among: Sequence[int]) -> dict[tuple[int, int], float]:
+        """Return the powers of some terms, without the others.
+
+        Entry (i, i) is the power that i explains beside the rest of them. Entry (i, j) is the power that i may have as
+        a deviation of j from its form: that of the part of j's signal that i could explain, or what both explain
+        together times the share of i's signature that j absorbs, whichever is larger.
+        """
+        some = np.isin(self.of_term, list(among))
+        information, of_term = self.information[np.ix_(some, some)], self.of_term[some]
+        inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+        value = inverse @ self.score[some]
+        result = {}
+        for i, j in product(among, repeat=2):
+            own, other = of_term == i, of_term == j
+            both = own | other
+            result[i, j] = value[both] @ np.linalg.pinv(inverse[np.ix_(both, both)], hermitian=True) @ value[both]
+            if i != j:
+                mine, across = information[np.ix_(own, own)], information[np.ix_(own, other)]
+                absorbed = across @ np.linalg.pinv(information[np.ix_(other, other)], hermitian=True) @ across.T
+                share = np.trace(absorbed) / max(np.trace(mine), 1e-300)
+                to_it = across @ value[other]
+                contained = to_it @ np.linalg.pinv(mine, hermitian=True) @ to_it
+                result[i, j] = max(result[i, j] * share, contained)
+        return {pair: float(power) for pair, power in result.items()}
+
+
+def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Explained, float]:
     """Marginalise the terms of a model.
 
     Returns:
-        The log evidence of the terms beside the rest, nats; their most probable scales (t,); powers (t, t); and the
-        remaining square. Entry (i, i) is the power that i explains beside all other terms. Entry (i, j) is the power
-        that i and j explain together, times the share of the signature of i that j absorbs: the power of i as a
-        deviation of j from its form.
+        The log evidence of the terms beside the rest, nats; their most probable scales (t,); what they explain; and the
+        remaining square.
     """
     count = len(fit.model.terms)
     if not count:
-        return 0.0, np.zeros(0), np.zeros((0, 0)), plain.square
+        return 0.0, np.zeros(0), Explained(np.zeros((0, 0)), np.zeros(0), terms.of_term), plain.square
     seen = plain.see(terms.columns, terms.score_bias)
     information = terms.columns @ terms.columns.T / plain.noise**2 - seen.reach @ seen.reach.T
     score = seen.score
@@ -111,13 +144,4 @@ def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Arr
     total = nats(scale) + sum(float(logsumexp(t) - t.max() - np.log(len(t))) for t in each)
     inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
     value = inverse @ score
-    powers = np.zeros((count, count))
-    for i, j in product(range(count), repeat=2):
-        own, other = terms.of_term == i, terms.of_term == j
-        both = own | other
-        powers[i, j] = value[both] @ np.linalg.pinv(inverse[np.ix_(both, both)], hermitian=True) @ value[both]
-        if i != j:
-            across = information[np.ix_(own, other)]
-            absorbed = across @ np.linalg.pinv(information[np.ix_(other, other)], hermitian=True) @ across.T
-            powers[i, j] *= np.trace(absorbed) / max(np.trace(information[np.ix_(own, own)]), 1e-300)
-    return total, scale, powers, plain.square - float(score @ value)
+    return total, scale, Explained(information, score, terms.of_term), plain.square - float(score @ value)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
+
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.laplace import Explained
 from magyc_gtsam.gap.evidence.weighing import Weighed
 from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.refit import Refit
@@ -28,7 +31,7 @@ class Node:
         search: nats by which the grid searches reduce `log`.
         misfit: mean square of the residual, in its noise.
         explained: power that the set explains.
-        powers: (t, t) power of each term beside the others, and as a deviation of another one (`marginal`).
+        of_terms: what each of its terms explains.
         beside: the marginalised set, beside which candidates are tested.
         found: the candidates tested beside it.
         moving: nats of a variation like that of the field, but in the sensor's axes: of an unknown effect.
@@ -42,7 +45,7 @@ class Node:
     search: float
     misfit: float
     explained: float
-    powers: Array
+    of_terms: Explained
     beside: Beside
     found: dict[str, Weighed] = field(default_factory=dict)
     moving: list[float] = field(default_factory=list)
@@ -72,6 +75,18 @@ class Node:
             return 0.0
         without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)
         return max(without - self.misfit * rows, 0.0)
+
+    @cached_property
+    def of_colour(self) -> tuple[float, float]:
+        """Return the power that coloured noise explains, and that it could explain of the effects' signal."""
+        if self.variation is None or not self.variation.of_colour:
+            return 0.0, 0.0
+        columns = self.variation.components[-self.variation.of_colour :] / self.variation.noise
+        last = self.beside.before
+        value = self.beside.solution()[0][last - len(columns) : last]
+        own, signal = value @ columns, columns @ self.beside.signal()
+        information = columns @ columns.T + np.eye(len(columns))
+        return float(own @ own), float(signal @ np.linalg.solve(information, signal))
 
     def key_with(self, name: str) -> tuple[str, ...]:
         """Return the key of the set with one more name."""

@@ -13,13 +13,12 @@ from scipy.special import logsumexp
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.laplace import Terms
-from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
+from magyc_gtsam.gap.evidence.names import key_of, powers_of
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import Weighed
 from magyc_gtsam.gap.model.field_variation import field_variation
-from magyc_gtsam.gap.model.problem import Active
-from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import product_of
 
 Set = tuple[tuple[str, ...], bool]  # names, and True if an unknown effect is present
@@ -45,7 +44,7 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
     """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect."""
     tried = tree.nodes.keys() | tree.refused
     for node in tree.nodes.values():
-        key, powers = key_of(tree, node), _powers(tree, node)
+        key, powers = key_of(tree, node), powers_of(tree, node)
         form, (foreign, seen) = _families(tree, node, powers)
         log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
         yield SetWeight(key, log, None, powers)
@@ -55,7 +54,8 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
             yield SetWeight(key, node.log + log, seen, powers)
         for less, log, seen in _imitated(tree, node, powers):
             yield SetWeight(less, node.log + log, seen, powers)
-        if node.variation is not None and (colour := node.found.get(COLOUR)) is not None:
+        colour = None if COLOUR in node.names or node.variation is None else node.found.get(COLOUR)
+        if colour is not None and node.key_with(COLOUR) not in tried:
             logs = np.where(colour.power > _deviation(node, powers, colour), colour.by_scale, -np.inf)
             yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + logsumexp(logs), None, powers)
         for gain in node.moving:  # the only unknown effect that resembles a field of the place
@@ -68,16 +68,6 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
                     log = node.log + PRIOR.named + logsumexp(each.by_scale[large])
                     with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each], [0.0])}
                     yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
-
-
-def _powers(tree: Tree, node: Node) -> dict[str, float]:
-    """Return the power that each name of a set explains."""
-    result = dict.fromkeys(key_of(tree, node), 0.0)
-    for index in kept(tree, node):
-        result[node.fit.model.terms[index].name] += float(node.powers[index, index])
-    if FIELD_VARIATION in result:
-        result[FIELD_VARIATION] = node.of_field
-    return result
 
 
 def _mean_power(families: Sequence[Weighed], least: Sequence[float]) -> float:
@@ -202,50 +192,6 @@ def _contains(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
     across = information[:count, count:]
     absorbed = across @ np.linalg.pinv(information[count:, count:], hermitian=True) @ across.T
     return bool(np.trace(absorbed) > (1 - PRIOR.form) * np.trace(information[:count, :count]))
-
-
-def kept(tree: Tree, node: Node) -> list[int]:
-    """Return the terms of a set that exceed the deviation from its form of a related one or of the field variation.
-
-    If each of two terms may be the deviation of the other, the one with more evidence remains.
-    """
-    result: list[int] = []
-    terms, powers = node.fit.model.terms, node.powers
-    names = [term.name for term in terms]
-    for index in sorted(range(len(names)), key=lambda one: -_evidence_of(tree, node, one)):
-        strong = [powers[index, i] for i in result if related(names[index], names[i])]
-        passed = any(_one_passing(terms[index], terms[i]) for i in result)
-        if not passed and powers[index, index] > PRIOR.form * max([node.of_field, *strong]):
-            result.append(index)
-    return sorted(result)
-
-
-def _evidence_of(tree: Tree, node: Node, index: int) -> float:
-    """Return the nats of a term relative to the same set without it, if that was fitted; else half its power."""
-    less = list(node.names)
-    less.remove(node.fit.model.terms[index].name)
-    without = tree.nodes.get(tuple(sorted(less)))
-    return 0.5 * float(node.powers[index, index]) if without is None else node.log - without.log
-
-
-def _one_passing(one: Active, other: Active) -> bool:
-    """Return whether two bumps belong to one passed object, whose field rotates meanwhile."""
-    if one.name != "local-anomaly" or other.name != one.name:
-        return False
-    widths = one.setting["width"] + other.setting["width"]
-    return abs(one.setting["time"] - other.setting["time"]) < RULES.span * widths
-
-
-def key_of(tree: Tree, node: Node) -> tuple[str, ...]:
-    """Return the names of the remaining terms, sorted, with the field variation if it is evident."""
-    names = {node.fit.model.terms[index].name for index in kept(tree, node)}
-    varies = node.variation is not None and node.variation.evident  # the effects may explain all of it
-    return tuple(sorted(names | ({FIELD_VARIATION} if varies else set())))
-
-
-def names_of(tree: Tree, node: Node) -> frozenset[str]:
-    """Return the effects of the catalogue in a set."""
-    return frozenset(key_of(tree, node)).intersection(TERMS)
 
 
 def sensor_variation(tree: Tree) -> float:

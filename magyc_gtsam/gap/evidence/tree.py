@@ -15,13 +15,13 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
-from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
+from magyc_gtsam.gap.model.field_variation import COLOURS, COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term, without_term
 from magyc_gtsam.gap.model.twin import Twin
@@ -29,6 +29,7 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
+_COLOURED = float(np.log(COLOURS))
 _FINER = 2  # rounds of refining a setting
 _BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 
@@ -87,7 +88,7 @@ class Tree:
         for old in before:
             fit = self._fit(old.key, replace(old.fit.model, noise=root.model.noise), None)
             if fit is not None:
-                yield self._node(old.names, fit, old.variation and field_variation(fit.twin), old.search)
+                yield self._node(old.names, fit, _variation(old.names, fit), old.search)
 
     def _grow(self, frontier: list[Node]) -> None:
         while frontier and len(self.nodes) < PRIOR.nodes:
@@ -156,8 +157,7 @@ class Tree:
         if known is not None and all(term.setting in rest for term in known.fit.model.terms):
             return known
         fit = refit(self._problem, without_term(node.fit.model, index), None)
-        variation = None if node.variation is None else field_variation(fit.twin)
-        return self._likelier(self._node(tuple(names), fit, variation, node.search))
+        return self._likelier(self._node(tuple(names), fit, _variation(names, fit), node.search))
 
     def _likelier(self, node: Node) -> Node:
         """Keep a set, unless the same names with other settings are more probable."""
@@ -174,6 +174,12 @@ class Tree:
                 node.moving.append(field_variation(node.fit.twin, in_world=False).gain - _VARIES)
             if key not in self.nodes and len(variation.components):
                 yield self._node((*node.names, FIELD_VARIATION), node.fit, variation, node.search)
+        colour, names = node.found.get(COLOUR), (*node.names, COLOUR)
+        beside = (
+            node.variation is not None and COLOUR not in node.names and node.key_with(COLOUR) not in self.nodes
+        )
+        if beside and colour is not None and colour.log + PRIOR.named > 0:
+            yield self._node(names, node.fit, _variation(names, node.fit), node.search)
         least, count = -1.0 - PRIOR.named, 0
         for option in self._options(node):
             if option.log < least or count == PRIOR.beam or len(self.nodes) >= PRIOR.nodes:
@@ -194,8 +200,9 @@ class Tree:
         fit = self._fit(node.key_with(option.name), model, node.fit.twin)
         if fit is None:
             return None
-        variation = None if node.variation is None else field_variation(fit.twin)
-        return self._node((*node.names, option.name), fit, variation, node.search + option.search)
+        return self._node(
+            (*node.names, option.name), fit, _variation(node.names, fit), node.search + option.search
+        )
 
     def _fit(self, key: tuple[str, ...], model: Model, known: Twin | None) -> Refit | None:
         """Fit a model; None, and its names are refused, if there is no fit or a value is impossible."""
@@ -211,9 +218,10 @@ class Tree:
     def _node(self, names: tuple[str, ...], fit: Refit, variation: FieldVariation | None, search: float) -> Node:
         terms = Terms.of(fit)
         plain = terms.beside(variation)
-        evidence, scales, powers, left = marginal(terms, plain, fit)
+        evidence, scales, of_terms, left = marginal(terms, plain, fit)
         log = 0.5 * (self.square - plain.square - plain.log_determinant) + evidence
         log -= self.freedom * np.log(plain.noise) + (_VARIES if variation is not None else 0.0)
+        log -= _COLOURED if COLOUR in names else 0.0
         beside = terms.beside(variation, scales)
         node = Node(
             names,
@@ -223,7 +231,7 @@ class Tree:
             search,
             left / self.freedom,
             self.square / plain.noise**2 - left,
-            powers,
+            of_terms,
             beside,
         )
         node.found.update(self._found(node))
@@ -263,3 +271,8 @@ class Tree:
         if "hard-iron-drift" not in node.names:
             found |= one_way(self.candidates, node.beside, node.named)
         return found
+
+
+def _variation(names: Sequence[str], fit: Refit) -> FieldVariation | None:
+    """Return the variation of the field beside a set's effects, if it is in the set, with coloured noise if that is."""
+    return field_variation(fit.twin, coloured=COLOUR in names) if FIELD_VARIATION in names else None

@@ -30,9 +30,10 @@ from magyc_gtsam.gap.rules import RULES
 
 _MODES = 60  # cosines of time
 CORRELATION = (1.0, 4.0, 16.0)  # s
-_AMPLITUDES = 1e-6 * 2.0 ** np.arange(-3.0, 4.0)  # T
+_AMPLITUDES = 1e-6 * 2.0 ** np.arange(-5.0, 4.0)  # T, over ρ, which is 4 or 5 in rooms
 _SHARES = (0.0, 0.5, 1.0, 2.0)  # amplitude with attitude over that along the way; attitude alone is not the place
 COMBINATIONS = len(CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
+COLOURS = sum(period <= RULES.longest_colour for period in CORRELATION) * len(_AMPLITUDES)
 _TURN = 0.6  # rad, correlation length in attitude: the likeliest of 0.3, 0.6 and 1 on hand-held real logs
 _ATTITUDES = 80  # inducing attitudes of the Nyström approximation
 _LEAST = 0.05  # smallest eigenvalue of the kernel at the inducing attitudes that is kept
@@ -46,24 +47,28 @@ class FieldVariation:
     Attributes:
         gain: gain in log evidence over a constant field, nats.
         along, attitude: standard deviations along the way and with attitude, T.
+        colour: standard deviation of coloured noise of the magnetometer beside it, T.
         noise: ρ, relative to the noise of the sensors.
         period: correlation time along the way, s.
-        components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ.
+        components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ; last those of the colour.
+        of_colour: number of the latter.
     """
 
     gain: float
     along: float
     attitude: float
+    colour: float
     noise: float
     period: float
     components: Array
+    of_colour: int
     _columns: Array
     _less: Array
 
     @property
     def evident(self) -> bool:
         """Return whether the evidence for a variation is sufficient."""
-        return self.gain > RULES.field_varies
+        return self.gain > RULES.field_varies and self.along > 0
 
     def whiten(self, rows: Array) -> Array:
         """Whiten rows (k, 3n), already whitened for the sensors' noise, for the variation of the field too."""
@@ -71,47 +76,71 @@ class FieldVariation:
         return result
 
 
-def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
+def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -> FieldVariation:
     """Estimate the amplitudes by maximum evidence of the innovations that a model leaves.
 
     Args:
         twin: the linearised model.
         in_world: True for functions in the world's axes, which are the place; False for the same functions in the
             sensor's axes, which are a cause that moves with the sensor.
+        coloured: whether the magnetometer may have coloured noise, too: the fast functions of time in its own axes.
     """
     put = _in_world if in_world else _in_sensor
     project = Projector(twin.base_columns, twin.base_score_bias)
     v = project(twin.residual().reshape(1, -1))[0]
     cosines, courses = waves(twin.time)
-    raw = np.concatenate([put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))])
-    shapes = [np.zeros(3 * len(cosines))]
-    shapes += [amplitude * np.repeat(course, 3) for amplitude, course in product(_AMPLITUDES, courses)]
-    turned = len(raw) - 3 * len(cosines)
+    parts = [put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))]
+    if coloured:
+        parts.append(_in_sensor(twin, cosines))
+    raw = np.concatenate(parts)
+    turned = len(parts[1])
+    still = np.zeros(3 * len(cosines))
+    shapes = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, courses)]
+    fast = courses[np.array(CORRELATION) <= RULES.longest_colour]
+    colours = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, fast)]
     search = _Search(v, project(raw), 3 * twin.n - len(twin.base_columns))
 
-    def deviations(shape: int, share: int) -> Array:
-        along = float(np.sqrt((shapes[shape] ** 2).sum() / 3))
-        return np.concatenate([shapes[shape], np.full(turned, _SHARES[share] * along)])
+    def deviations(shape: int, share: int, colour: int) -> Array:
+        along = _deviation(shapes[shape])
+        own = [shapes[shape], np.full(turned, _SHARES[share] * along)]
+        return np.concatenate([*own, colours[colour]] if coloured else own)
 
     @cache  # the second sweep evaluates many of the same points
-    def log_of(shape: int, share: int) -> float:
-        return search.log(deviations(shape, share))[0]
+    def log_of(shape: int, share: int, colour: int) -> float:
+        return search.log(deviations(shape, share, colour))[0]
 
-    shape, share = len(shapes) // 2, 1
+    shape, share, colour = len(shapes) // 2, 1, len(colours) // 2 if coloured else 0
     for _ in range(_SWEEPS):
-        shape = _best([log_of(i, share) for i in range(len(shapes))])
-        share = _best([log_of(shape, i) for i in range(len(_SHARES))])
-    chosen = deviations(shape, share)
+        shape = _best([log_of(i, share, colour) for i in range(len(shapes))])
+        share = _best([log_of(shape, i, colour) for i in range(len(_SHARES))])
+        colour = _best([log_of(shape, share, i) for i in range(len(colours))]) if coloured else 0
+    chosen = deviations(shape, share, colour)
     log, noise = search.log(chosen)
-    still, _ = search.log(np.zeros(len(raw)), fixed=True)
+    constant, _ = search.log(np.zeros(len(raw)), fixed=True)
     period = CORRELATION[(shape - 1) % len(CORRELATION)] if shape else 0.0
     scaled = raw[chosen > 0] * chosen[chosen > 0, None]
     value, vector = np.linalg.eigh(scaled @ scaled.T)
     kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
     columns = (vector[:, kept] / np.sqrt(value[kept])).T @ scaled
-    along = float(np.sqrt((shapes[shape] ** 2).sum() / 3)) * noise
+    along = _deviation(shapes[shape]) * noise
     less = 1 - 1 / np.sqrt(1 + value[kept])
-    return FieldVariation(log - still, along, _SHARES[share] * along, noise, period, scaled, columns, less)
+    return FieldVariation(
+        log - constant,
+        along,
+        _SHARES[share] * along,
+        _deviation(colours[colour]) * noise,
+        noise,
+        period,
+        scaled,
+        int((colours[colour] > 0).sum()) if coloured else 0,
+        columns,
+        less,
+    )
+
+
+def _deviation(shape: Array) -> float:
+    """Return the standard deviation, T, of a function of time whose modes have some on each of three axes."""
+    return float(np.sqrt((shape**2).sum() / 3))
 
 
 def waves(time: Array) -> tuple[Array, Array]:

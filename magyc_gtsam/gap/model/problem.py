@@ -33,6 +33,7 @@ _CLOSE = 1e-7  # rad/s, change at which the iteration has converged
 _RUNAWAY = 10.0  # times the first change, beyond which the iteration diverges
 _ROUNDS = 5  # of the directions and the terms of the magnetometer, which depend on each other
 _AGREED = 1e-3  # rad, change of the directions below which a round is the last
+_INSTANTS = 3  # of a window; five change the power of a hysteresis in BROAD 01 and 32 by 1 and 3 %
 _NEARBY = 1e-8  # T, step of a numerical derivative
 _KEPT = 4  # cached integrations of one problem, for a search that alternates between models
 # rad by which a change of bias and delay may turn the field within a window, up to which the first-order derivatives
@@ -147,6 +148,18 @@ class Problem:
         )
 
     @cached_property
+    def instants(self) -> Array:
+        """The times (k, n), relative to the mean of each window, s, at which effects that are not linear are evaluated.
+
+        A window rotates by up to 0.2 rad, in which a loop of hysteresis reverses and a reading passes a knee.
+        """
+        time, starts = self.samples.magnetometer_time, self.samples.starts
+        ends = np.append(starts[1:], len(time)) - 1
+        length = time[ends] - time[starts]
+        share = (np.arange(_INSTANTS) + 0.5) / _INSTANTS - 0.5 if length.any() else np.zeros(1)
+        return share[:, None] * length
+
+    @cached_property
     def fastest(self) -> float:
         """The largest rate of turn, rad/s."""
         return float(np.sqrt((self.samples.angular_rate**2).sum(axis=1).max()))
@@ -232,10 +245,16 @@ def window_signals(problem: Problem, gyroscope: Integrated, state: ChainState) -
     parameters, g = state
     soft = unvech(parameters[:6])
     rotation = gyroscope.windows.rotation_at(parameters[9:12], float(parameters[DELAY]))
+    field = soft @ np.einsum("ijn,jn->in", rotation, g)
+    field_rate = -soft @ np.einsum("ijn,jn->in", gyroscope.windows.rotation_rate, g)
+    curvature = np.gradient(field_rate, gyroscope.windows.time, axis=1)
+    away = problem.instants[:, None]
+    within = field + away * field_rate + 0.5 * (away**2 - (away**2).mean(axis=0)) * curvature
     return replace(
         problem.over_windows,
-        field=soft @ np.einsum("ijn,jn->in", rotation, g),
-        field_rate=-soft @ np.einsum("ijn,jn->in", gyroscope.windows.rotation_rate, g),
+        field=field,
+        field_rate=field_rate,
+        within=np.moveaxis(within, 0, -1),
         hard_iron=parameters[6:9],
         rate=gyroscope.mean_rate,
         to_sensor=rotation,
@@ -252,7 +271,10 @@ def _added(terms: Sequence[Active], signals: Signals) -> Array:
 def _bend(bent: Sequence[Active], signals: Signals) -> LinearisedSensor:
     """Return the linearisation of the non-linear terms at the field of the signals."""
     field = signals.need("field")
-    more, less = (_added(bent, replace(signals, field=field + step)) for step in (_NEARBY, -_NEARBY))
+    more, less = (
+        _added(bent, replace(signals, field=field + step, within=signals.path + step))
+        for step in (_NEARBY, -_NEARBY)
+    )
     return LinearisedSensor(1 + (more - less) / (2 * _NEARBY), field + signals.need("hard_iron")[:, None])
 
 

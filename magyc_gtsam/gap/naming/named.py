@@ -20,8 +20,9 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
 from magyc_gtsam.gap.evidence.decision import marginals
+from magyc_gtsam.gap.evidence.names import kept, names_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
-from magyc_gtsam.gap.evidence.posterior import Set, kept, names_of
+from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.problem import Active, Problem

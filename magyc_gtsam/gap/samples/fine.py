@@ -35,6 +35,11 @@ class Fine(NamedTuple):
     time: Array
     edge: float
 
+    @property
+    def white(self) -> float:
+        """Return the standard deviation of their white part, T, to which a slow misfit does not add."""
+        return self.level * min(1.0, float(np.sqrt(0.5 * (np.diff(self.innovation, axis=1) ** 2).mean())))
+
 
 def fine_innovations(recording: Recording, model: Model) -> Fine:
     """Return the innovations of a model on a recording, with one window per magnetometer sample."""
@@ -66,7 +71,7 @@ def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseSc
     return [
         *single_scores(fine, limit),
         coloured_noise(_calm(fine), fine.rate, fine.level, limit),
-        quantisation(recording, fine.level),
+        quantisation(recording, fine.white),
     ]
 
 
