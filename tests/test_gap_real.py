@@ -38,7 +38,7 @@ def test_a_late_magnetometer_is_found(shared_data: Path) -> None:
     """
     found = []
     for name, start, end, low, high, candidates in (
-        ("broad_01_slow_rotation.mcap", 36, 66, 8.5, 12.5, None),
+        ("broad_01_slow_rotation.mcap", 36, 86, 8.5, 12.5, None),
         ("broad_06_fast_rotation.mcap", 40, 70, 9.5, 11.5, ["timing", "eddy-plane", "gyro-scale", "misalignment"]),
     ):
         recording = mg.read(shared_data / name).between(start, end)

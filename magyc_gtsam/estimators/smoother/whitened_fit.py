@@ -41,11 +41,11 @@ class WhitenedFit:
 
     @cached_property
     def square(self) -> float:
-        """rᵀ P r, the residual sum of squares."""
-        left = self.left
-        return float(np.vdot(left.window, left.window) + np.vdot(left.link, left.link)) - float(
-            left.absorbed @ left.absorbed + left.explained @ left.explained
-        )
+        """rᵀ P r, the residual sum of squares; the values of terms with a prior are residuals, too."""
+        left, terms = self.left, self.fit.terms
+        square = np.vdot(left.window, left.window) + np.vdot(left.link, left.link)
+        square += 0.0 if terms is None else terms.precision @ terms.value**2
+        return float(square - left.absorbed @ left.absorbed - left.explained @ left.explained)
 
     @cached_property
     def factor(self) -> UnitFactor:

@@ -74,7 +74,7 @@ def answer(
     if stepped:  # certain, and it would be taken for a non-linear reading
         said[coarse.name] = PRIOR.certain
         # Steps wider than the noise hide it in the differences of successive samples.
-        level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.level))
+        level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.white))
         recording = smoothed(given, model, coarse, fine)
         problem = problem_of(recording)
     tree = None
@@ -89,7 +89,7 @@ def answer(
         for name in ("spikes", *("tone",) * _LINES):
             score, known = found[name], said.get(name, -np.inf)
             odds = log_odds(score)
-            form = name == "spikes" and score.statistic < PRIOR.form * tree.best.of_field
+            form = name == "spikes" and score.statistic < PRIOR.form_of_field * tree.best.of_field
             # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
             rounded = stepped and name == "spikes" and score.value[0] < coarse.value[0]
             known_too = known > 0 and name != "tone"

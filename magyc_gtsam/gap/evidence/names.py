@@ -24,9 +24,9 @@ def kept(tree: Tree, node: Node) -> list[int]:
         powers = node.of_terms.powers(result)
         for place in reversed(range(len(result))):
             index, stronger = result[place], result[:place]
-            deviation = PRIOR.form * max([node.of_field, *(powers[index, other] for other in stronger)])
+            deviations = [PRIOR.form_of_field * node.of_field, *(PRIOR.form * powers[index, j] for j in stronger)]
             passed = any(_one_passing(terms[index], terms[other]) for other in stronger)
-            if passed or powers[index, index] <= deviation:
+            if passed or powers[index, index] <= max(deviations):
                 del result[place]
                 break
         else:

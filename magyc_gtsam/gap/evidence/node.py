@@ -66,11 +66,16 @@ class Node:
     @property
     def named(self) -> float:
         """Return the power that its named effects explain."""
-        return max(self.explained - self.of_field, 0.0) if self.names else 0.0
+        return max(self.explained - self._varying, 0.0) if self.names else 0.0
 
     @cached_property
     def of_field(self) -> float:
-        """Return the power that the field variation explains beside the named effects."""
+        """Return the power that the field variation explains beside the named effects and coloured noise."""
+        return max(self._varying - self.of_colour[0], 0.0)
+
+    @cached_property
+    def _varying(self) -> float:
+        """Return the power of the field variation with coloured noise."""
         if self.variation is None:
             return 0.0
         without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)

@@ -63,7 +63,7 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
         for each in node.found.values():  # sets that were not fitted, in linearised form
             more = tuple(sorted((*node.names, each.name)))
             if each.name in TERMS and each.name not in node.names and more not in tried:
-                large = each.power > PRIOR.form * node.of_field
+                large = each.power > PRIOR.form_of_field * node.of_field
                 if large.any():
                     log = node.log + PRIOR.named + logsumexp(each.by_scale[large])
                     with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each], [0.0])}
@@ -86,7 +86,8 @@ def _deviation(node: Node, powers: Mapping[str, float], family: Weighed) -> floa
     A product may be a deviation of its own effect, any other family of the part of the set's signal that it could
     explain, and each of the varying field, which has no form.
     """
-    return PRIOR.form * (node.of_field + powers.get(product_of(family.name) or "", family.contained))
+    of_names = powers.get(product_of(family.name) or "", family.contained)
+    return PRIOR.form_of_field * node.of_field + PRIOR.form * of_names
 
 
 def _families(tree: Tree, node: Node, powers: Mapping[str, float]) -> tuple[float, tuple[float, float]]:

@@ -51,6 +51,9 @@ class Prior:
             effects that it resembles together, the smallest share is the least.
         form: share of the power of an effect's signal by which it may deviate from its form. No real effect has its
             catalogue form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
+        form_of_field: the same of the varying field, a quarter in amplitude: it is modelled by functions of time and of
+            attitude alone. In five logs with an effect put in (edition 332), names that are not there have 0.03 to 0.06
+            of its power, one has 0.08; a misalignment and scales that two logs of a unit agree in have 0.07 to 0.08.
         profile_field, profile_rate: smallest value of a generic profile that matters, T and rad/s.
         modes: of a drift, beside a straight line: the slow part of a random walk. With 24 a jump of 6 µT that was added
             to a walk with a phone was called a drift.
@@ -86,6 +89,7 @@ class Prior:
     rest: float = 0.125
     shares: Array = field(default_factory=_shares)
     form: float = 0.04
+    form_of_field: float = 0.06
     profile_field: float = 0.3e-6
     profile_rate: float = 1e-3
     modes: tuple[int, ...] = (4, 12)
