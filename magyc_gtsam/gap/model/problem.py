@@ -1,9 +1,4 @@
-"""The field chain of one recording, with the terms of a model subtracted from the data.
-
-Terms on the magnetometer are subtracted from the windows' fields, terms on the gyroscope from its samples before
-integration. The chain of `factors.chain.field_chain` therefore serves the extended model unchanged; a delay is its
-thirteenth parameter.
-"""
+"""One recording in windows, and a model of it: the gyroscope is integrated with the model's terms subtracted."""
 
 from __future__ import annotations
 
@@ -14,14 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
-from magyc_gtsam.factors.chain.directions import LinearisedSensor
-from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS, Setting
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
@@ -31,10 +24,7 @@ _STILL = 1e-9  # standard deviation of a constant channel relative to its larges
 _PASSES = 20  # fixed-point iterations for gyroscope terms that read the true rate; most need three
 _CLOSE = 1e-7  # rad/s, change at which the iteration has converged
 _RUNAWAY = 10.0  # times the first change, beyond which the iteration diverges
-_ROUNDS = 5  # of the directions and the terms of the magnetometer, which depend on each other
-_AGREED = 1e-3  # rad, change of the directions below which a round is the last
 _INSTANTS = 3  # of a window; five change the power of a hysteresis in BROAD 01 and 32 by 1 and 3 %
-_NEARBY = 1e-8  # T, step of a numerical derivative
 _KEPT = 4  # cached integrations of one problem, for a search that alternates between models
 # rad by which a change of bias and delay may turn the field within a window, up to which the first-order derivatives
 # of an integration replace a new one: the error is half its square, where the noise of a window is milliradians
@@ -213,7 +203,7 @@ def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
     return true
 
 
-def _integrated(problem: Problem, model: Model) -> Integrated:
+def integrated(problem: Problem, model: Model) -> Integrated:
     """Integrate the gyroscope near the bias and delay of a model, with its terms.
 
     The result is cached: a small step, a change of the noise or a new term with value 0 needs the same integration.
@@ -224,12 +214,12 @@ def _integrated(problem: Problem, model: Model) -> Integrated:
     bias, delay = model.parameters[9:12], float(model.parameters[DELAY])
     terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope" and t.value.any()]
     key = tuple((t.name, tuple(sorted(t.setting.items())), t.value.tobytes()) for t in terms)
-    for place, (known, integrated) in enumerate(problem._kept):
-        at = integrated.windows
+    for place, (known, kept) in enumerate(problem._kept):
+        at = kept.windows
         moved = problem.samples.length * np.abs(bias - at.bias).max() + problem.fastest * abs(delay - at.delay)
         if known == key and moved < _NEAR:
             problem._kept.append(problem._kept.pop(place))
-            return integrated
+            return kept
     rate = _true_rate(problem, terms, bias)
     samples = problem.samples.with_rate((rate + bias[:, None]).T) if terms else problem.samples
     windows = samples.integrate(bias, delay)
@@ -238,75 +228,3 @@ def _integrated(problem: Problem, model: Model) -> Integrated:
     result = Integrated(samples, rate, windows, mean_rate)
     problem._kept[:] = [*problem._kept[1 - _KEPT :], (key, result)]
     return result
-
-
-def window_signals(problem: Problem, gyroscope: Integrated, state: ChainState) -> Signals:
-    """Return the signals that the forms read, averaged over each window, at the values of the model."""
-    parameters, g = state
-    soft = unvech(parameters[:6])
-    rotation = gyroscope.windows.rotation_at(parameters[9:12], float(parameters[DELAY]))
-    field = soft @ np.einsum("ijn,jn->in", rotation, g)
-    field_rate = -soft @ np.einsum("ijn,jn->in", gyroscope.windows.rotation_rate, g)
-    curvature = np.gradient(field_rate, gyroscope.windows.time, axis=1)
-    away = problem.instants[:, None]
-    within = field + away * field_rate + 0.5 * (away**2 - (away**2).mean(axis=0)) * curvature
-    return replace(
-        problem.over_windows,
-        field=field,
-        field_rate=field_rate,
-        within=np.moveaxis(within, 0, -1),
-        hard_iron=parameters[6:9],
-        rate=gyroscope.mean_rate,
-        to_sensor=rotation,
-    )
-
-
-def _added(terms: Sequence[Active], signals: Signals) -> Array:
-    """Return the sum (3, n) T of the terms on the magnetometer's reading."""
-    return sum(
-        (FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros((3, len(signals.time)))
-    )
-
-
-def _bend(bent: Sequence[Active], signals: Signals) -> LinearisedSensor:
-    """Return the linearisation of the non-linear terms at the field of the signals."""
-    field = signals.need("field")
-    more, less = (
-        _added(bent, replace(signals, field=field + step, within=signals.path + step))
-        for step in (_NEARBY, -_NEARBY)
-    )
-    return LinearisedSensor(1 + (more - less) / (2 * _NEARBY), field + signals.need("hard_iron")[:, None])
-
-
-def build(
-    problem: Problem, model: Model, near: tuple[ChainState, Integrated] | None = None
-) -> tuple[FieldChain, ChainState, Reduced, Integrated]:
-    """Build the chain of a model and optimise its directions, from those of a model near it if there is one.
-
-    The terms of the magnetometer depend on the field of the model. Therefore the directions are optimised, the terms
-    subtracted, and the directions optimised again; several times for non-linear terms, at which the reading is then
-    linearised.
-
-    Returns:
-        The chain, its state, its linearisation, and the integrated gyroscope.
-    """
-    gyroscope = _integrated(problem, model)
-    windows = gyroscope.windows
-    plain = FieldChain(windows, model.noise)
-    terms = [
-        t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "magnetometer" and t.name != "timing"
-    ]
-    # Directions are in the world of their integration.
-    same = near is not None and near[1] is gyroscope
-    state = ChainState(model.parameters, near[0].direction) if near and same else plain.start(model.parameters)
-    chain_, bent = plain, model.bends
-    for _ in range(_ROUNDS):
-        if terms:
-            signals = window_signals(problem, gyroscope, state)
-            corrected = replace(windows, field=windows.field - _added(terms, signals))
-            chain_ = FieldChain(corrected, model.noise, bend=_bend(bent, signals) if bent else None)
-        before = state.direction
-        state, reduced = chain_.settle(state, chain_.unweighted())
-        if not terms or np.abs(state.direction - before).max() < _AGREED:
-            break
-    return chain_, state, reduced, gyroscope

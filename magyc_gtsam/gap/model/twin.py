@@ -25,7 +25,8 @@ from magyc_gtsam.factors.chain.rotations import Array, cross, skew
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS, Setting
 from magyc_gtsam.factors.effects.signals import Signals
-from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, build, window_signals
+from magyc_gtsam.gap.model.model_chain import build, window_signals
+from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem
 
 _DIFFERENCE = 1e-3  # rad/s
 
