@@ -13,6 +13,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.cli.app import application
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import write_mcap
 
 
@@ -75,8 +76,8 @@ def test_a_delay_is_taken_from_the_stamps(way: list[str], tmp_path: Path) -> Non
     [
         ("cubic", [250e-6, -4e-6, 20e-6], {}),
         ("saturation", [0.75], {"level": 30e-6}),
-        ("saturation", [0.75], {"level": 30e-6, "knee": 4e-6}),
-        ("saturation", [0.75], {"level": 24e-6, "knee": 12e-6}),
+        ("saturation", [0.75], {"level": 30e-6, "fall": 4e-6}),
+        ("saturation", [0.75], {"level": 24e-6, "fall": 12e-6}),
     ],
 )
 def test_a_reading_that_is_bent_much_is_straightened(
@@ -98,7 +99,7 @@ def test_a_reading_that_is_bent_much_is_straightened(
     )
 
 
-@pytest.mark.parametrize("setting", [{"level": 40e-6}, {"level": 40e-6, "knee": 2e-6}])
+@pytest.mark.parametrize("setting", [{"level": 40e-6}, {"level": 40e-6, "fall": 2e-6}])
 def test_what_nothing_reads_stays_where_it_comes_closest(setting: dict[str, float]) -> None:
     """Above the top of a response that turns round, where a plain Newton's step runs away."""
     term = Term("saturation", [1.8], [[0.01]], setting)
@@ -188,3 +189,13 @@ def test_a_channel_that_is_not_there_is_not_replaced_by_another() -> None:
         calibration.apply(replace(recording, channels={"depth": depth}))
     position = np.column_stack([np.zeros_like(depth), np.zeros_like(depth), depth])
     assert np.isfinite(calibration.apply(replace(recording, channels={"position": position}))).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "setting"), [("saturation", {"level": 4e-5, "knee": 0.0}), ("hysteresis", {"width": 1e-5})]
+)
+def test_a_term_of_an_earlier_form_is_refused(name: str, setting: dict[str, float]) -> None:
+    """Its values would be taken for those of the present form."""
+    saved = {"name": name, "value": [1.0], "covariance": [[1.0]], "setting": setting}
+    with pytest.raises(MagycError, match="form of version 0.1.0"):
+        Term.from_dict(saved)

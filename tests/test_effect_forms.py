@@ -42,7 +42,7 @@ def test_a_core_saturates_as_one_knee(core: Callable[[Array], Array]) -> None:
     full, level = 57e-6, 45e-6
     loss = x - np.minimum(x, level) - (full - level) * core(np.clip(x - level, 0, None) / (full - level))
     tried = [
-        FORMS["saturation"].columns(reading(x), {"level": at * 60e-6, "knee": (1 - at) * 60e-6 * share})[0, 0]
+        FORMS["saturation"].columns(reading(x), {"level": at * 60e-6, "fall": (1 - at) * 60e-6 * share})[0, 0]
         for at in np.linspace(0.6, 0.95, 36)
         for share in (0.25, 0.5, 0.75, 1.0)
     ]
@@ -54,7 +54,7 @@ def test_a_loop_remembers_where_it_turned_back() -> None:
     random = np.random.default_rng(0)
     x = 1e-6 * np.cumsum(random.standard_normal(300))
     width = 8e-6
-    loop = FORMS["hysteresis"].columns(reading(x), {"width": width})[0, 0]
+    loop = FORMS["hysteresis"].columns(reading(x), {"coercive": width})[0, 0]
     state, wanted = np.zeros(8), []
     limits = width * (np.arange(8) + 0.5) / 8
     for change in np.diff(x, prepend=x[0]):
@@ -63,12 +63,12 @@ def test_a_loop_remembers_where_it_turned_back() -> None:
     np.testing.assert_allclose(loop, wanted, atol=1e-12)
     up = np.linspace(-30e-6, 30e-6, 61)
     there = np.concatenate([up, up[-2:20:-1], up[21:]])  # back to the middle, and up again
-    z = FORMS["hysteresis"].columns(reading(there), {"width": width})[0, 0]
+    z = FORMS["hysteresis"].columns(reading(there), {"coercive": width})[0, 0]
     assert z[-1] == pytest.approx(z[60], abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("name", "setting"), [("saturation", {"level": 40e-6}), ("hysteresis", {"width": 8e-6}), ("cubic", {})]
+    ("name", "setting"), [("saturation", {"level": 40e-6}), ("hysteresis", {"coercive": 8e-6}), ("cubic", {})]
 )
 def test_a_window_is_no_point_of_the_path(name: str, setting: dict[str, float]) -> None:
     """The mean response over a window, in which the field moves by 10 µT, is that of its samples within 5 %."""

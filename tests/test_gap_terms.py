@@ -38,7 +38,7 @@ SETTINGS = {
     "eddy-plane": {"x": 0.6, "y": 0.0, "z": 0.8},
     "local-anomaly": {"time": 2.0, "width": 1.0},
     "saturation": {"level": 3e-5},
-    "hysteresis": {"width": 1e-5},
+    "hysteresis": {"coercive": 1e-5},
     "tone": {"frequency": 1.3},
 }
 

@@ -191,8 +191,8 @@ def test_columns_are_derivatives_of_the_innovations(twin: Twin) -> None:
     ("name", "setting", "value"),
     [
         ("saturation", {"level": 38e-6}, [0.7]),
-        ("saturation", {"level": 38e-6, "knee": 4e-6}, [0.7]),
-        ("saturation", {"level": 30e-6, "knee": 8e-6}, [0.4]),
+        ("saturation", {"level": 38e-6, "fall": 4e-6}, [0.7]),
+        ("saturation", {"level": 30e-6, "fall": 8e-6}, [0.4]),
         ("cubic", {}, [2e-6, -1e-6, 3e-6]),
     ],
 )

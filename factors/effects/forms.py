@@ -21,6 +21,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 Setting = Mapping[str, float]
 _COERCIVE = (np.arange(8) + 0.5) / 8  # coercive fields of the pieces of a hysteresis, relative to the largest
+_AT_ONCE = 1_000_000  # numbers processed at once
 RATE_MATRIX = ("x", "y", "z", "xy", "xz", "yz")  # elements of a symmetric matrix that multiplies the rate
 
 
@@ -196,13 +197,13 @@ def _local_anomaly(s: Signals, setting: Setting) -> Array:
 
 
 def _saturation(s: Signals, setting: Setting) -> Array:
-    """Return the column of the excess over the level, from which the slope falls linearly over a knee, if it has one.
+    """Return the column of the excess over `level` T, from which on the slope falls linearly over `fall` T, if set.
 
     Cores saturate within a finite field: hyperbolic tangent, Langevin's function and others from a level on differ
     from this by 0.004 % to 0.06 % of the lost power, two to five times less than from a logistic slope.
     """
     reading = s.path + s.need("hard_iron")[:, None, None]
-    level, knee = setting["level"], setting.get("knee", 0.0)
+    level, knee = setting["level"], setting.get("fall", 0.0)
 
     def beyond(value: Array) -> Array:
         over = np.maximum(value - level, 0.0)
@@ -219,18 +220,21 @@ def _cubic(s: Signals, setting: Setting) -> Array:
 
 
 def _hysteresis(s: Signals, setting: Setting) -> Array:
-    """Return the columns of loops by Rayleigh's law for weak fields, in units of `width` T.
+    """Return the columns of loops by Rayleigh's law for weak fields, in units of the largest coercive field, T.
 
     A piece of iron with a coercive field r adds the change of the field along it until that is ±r, and then ±r (the
-    stop operator of Prandtl and Ishlinskii). Equally many pieces of each r up to the width have loops of two parabolas,
-    the smaller ones inside the larger ones. The field acts along (x, y, z), while the loop's own field may have another
-    direction; without a direction, each axis has its own loop.
+    stop operator of Prandtl and Ishlinskii). Equally many pieces of each r up to the largest have loops of two
+    parabolas, the smaller ones inside the larger ones. The field acts along (x, y, z), while the loop's own field may
+    have another direction; without a direction, each axis has its own loop.
     """
     path = s.path
     if path.shape[1] < 2:
         raise MagycError("hysteresis: it depends on what came before, so it needs the whole recording")
     along = np.eye(3) if "x" not in setting else np.array([[setting["x"], setting["y"], setting["z"]]])
-    loop = _stopped(along @ path.reshape(3, -1) / setting["width"], _COERCIVE).mean(axis=0)
+    y = along @ path.reshape(3, -1) / setting["coercive"]
+    few = max(_AT_ONCE // y.size, 1)  # pieces at once, which bounds the memory
+    parts = [_stopped(y, _COERCIVE[first : first + few]).sum(axis=0) for first in range(0, len(_COERCIVE), few)]
+    loop = np.sum(parts, axis=0) / len(_COERCIVE)
     return np.eye(3)[:, :, None] * loop.reshape(len(loop), *path.shape[1:]).mean(axis=-1)
 
 
@@ -258,6 +262,8 @@ def _tone(s: Signals, setting: Setting) -> Array:
     return per_axis(np.stack([np.cos(phase), np.sin(phase)]))
 
 
+# Settings of version 0.1.0, in which the same values meant another form.
+EARLIER = MappingProxyType({"saturation": "knee", "hysteresis": "width"})
 FORMS: Mapping[str, Form] = MappingProxyType(
     {
         "motor-current": Form("magnetometer", ("current",), _motor_current),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import FORMS
+from magyc_gtsam.factors.effects.forms import EARLIER, FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.errors import MagycError
 
@@ -41,6 +41,11 @@ class Term:
             )
         if not (np.isfinite(value).all() and np.isfinite(covariance).all()):
             raise MagycError(f"term {self.name!r}: value and covariance must be finite")
+        if EARLIER.get(self.name) in self.setting:
+            raise MagycError(
+                f"term {self.name!r}: it has the form of version 0.1.0 (setting {EARLIER[self.name]!r}), which this "
+                "version does not have; diagnose the log again with `magyc-gtsam gap`"
+            )
         value.flags.writeable = covariance.flags.writeable = False
         object.__setattr__(self, "value", value)
         object.__setattr__(self, "covariance", covariance)

@@ -40,7 +40,7 @@ def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 def _with_knees(levels: Iterable[float], knees: Iterable[float], largest: float) -> list[dict[str, float]]:
     """Return the settings. A knee ends within the readings: the loss beyond them would be a guess."""
     return [
-        {"level": float(level), "knee": float((largest - level) * knee)}
+        {"level": float(level), "fall": float((largest - level) * knee)}
         for level, knee in product(levels, knees)
         if level < largest
     ]
@@ -49,7 +49,7 @@ def _with_knees(levels: Iterable[float], knees: Iterable[float], largest: float)
 def _loops(twin: Twin) -> list[dict[str, float]]:
     """Return loops on each axis and along thirteen directions, with several coercive fields."""
     widths = [_span(twin) * share for share in _COERCIVE]
-    return [where | {"width": width} for width in widths for where in ({}, *directions())]
+    return [where | {"coercive": width} for width in widths for where in ({}, *directions())]
 
 
 def _span(twin: Twin) -> float:
@@ -58,18 +58,18 @@ def _span(twin: Twin) -> float:
 
 def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     largest = _COERCIVE[-1] * _span(twin)  # no iron with a larger one changes its direction
-    widths = sorted({min(setting["width"] * share, largest) for share in _FINE_COERCIVE})
+    widths = sorted({min(setting["coercive"] * share, largest) for share in _FINE_COERCIVE})
     where = [{}] if "x" not in setting else directions_nearby(setting)
-    return [place | {"width": width} for width in widths for place in where]
+    return [place | {"coercive": width} for width in widths for place in where]
 
 
 def _least_loss(setting: Setting) -> float:
     """Return the smallest share of the reading beyond the level that saturation removes."""
-    return RULES.bent_loss if setting.get("knee") else RULES.clipped_loss
+    return RULES.bent_loss if setting.get("fall") else RULES.clipped_loss
 
 
 def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
-    level, knee = setting["level"], setting.get("knee", 0.0)
+    level, knee = setting["level"], setting.get("fall", 0.0)
     how = "saturates softly from" if knee >= _SOFT * level else "clips at"
     return f"the magnetometer {how} about {level * 1e6:.0f} µT: raise its range, or move the magnet away"
 

@@ -84,9 +84,9 @@ class Node:
     @cached_property
     def of_colour(self) -> tuple[float, float]:
         """Return the power that coloured noise explains, and that it could explain of the effects' signal."""
-        if self.variation is None or not self.variation.of_colour:
+        if self.variation is None or not self.variation.colour_columns:
             return 0.0, 0.0
-        columns = self.variation.components[-self.variation.of_colour :] / self.variation.noise
+        columns = self.variation.components[-self.variation.colour_columns :] / self.variation.noise
         last = self.beside.before
         value = self.beside.solution()[0][last - len(columns) : last]
         own, signal = value @ columns, columns @ self.beside.signal()

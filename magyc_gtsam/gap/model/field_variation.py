@@ -51,7 +51,7 @@ class FieldVariation:
         noise: ρ, relative to the noise of the sensors.
         period: correlation time along the way, s.
         components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ; last those of the colour.
-        of_colour: number of the latter.
+        colour_columns: number of the latter.
     """
 
     gain: float
@@ -61,7 +61,7 @@ class FieldVariation:
     noise: float
     period: float
     components: Array
-    of_colour: int
+    colour_columns: int
     _columns: Array
     _less: Array
 
