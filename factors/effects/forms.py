@@ -21,7 +21,6 @@ from magyc_gtsam.factors.errors import MagycError
 
 Setting = Mapping[str, float]
 _COERCIVE = (np.arange(8) + 0.5) / 8  # coercive fields of the pieces of a hysteresis, relative to the largest
-_AT_ONCE = 1_000_000  # numbers processed at once
 RATE_MATRIX = ("x", "y", "z", "xy", "xz", "yz")  # elements of a symmetric matrix that multiplies the rate
 
 
@@ -232,29 +231,32 @@ def _hysteresis(s: Signals, setting: Setting) -> Array:
         raise MagycError("hysteresis: it depends on what came before, so it needs the whole recording")
     along = np.eye(3) if "x" not in setting else np.array([[setting["x"], setting["y"], setting["z"]]])
     y = along @ path.reshape(3, -1) / setting["coercive"]
-    few = max(_AT_ONCE // y.size, 1)  # pieces at once, which bounds the memory
-    parts = [_stopped(y, _COERCIVE[first : first + few]).sum(axis=0) for first in range(0, len(_COERCIVE), few)]
-    loop = np.sum(parts, axis=0) / len(_COERCIVE)
+    loop = np.stack([_stopped(row, _COERCIVE) for row in y])
     return np.eye(3)[:, :, None] * loop.reshape(len(loop), *path.shape[1:]).mean(axis=-1)
 
 
 def _stopped(y: Array, limits: Array) -> Array:
-    """Return sₙ = clip(sₙ₋₁ + yₙ − yₙ₋₁, −r, r), s₀ = 0, (l, k, n) for limits r (l,) and signals y (k, n).
+    """Return the mean over limits r (l,) of sₙ = clip(sₙ₋₁ + yₙ − yₙ₋₁, −r, r), s₀ = 0, for a signal y (n,).
 
-    Each step is a function s → clip(s + a, low, high), and so is a sequence of steps: the sequences from the first
-    sample are composed by doubling.
+    Where y turns back, s follows from where it turned back before. Each stretch is a function s → clip(s + a, low,
+    high), and so is a sequence of stretches: those from the first sample are composed by doubling.
     """
-    n = y.shape[1]
-    change = np.tile(np.diff(y, prepend=y[:, :1]), (len(limits), 1, 1))
-    high = np.broadcast_to(limits[:, None, None], change.shape).copy()
+    turns = np.append(0, np.flatnonzero(np.diff(np.sign(np.diff(y)))) + 1)
+    change = np.diff(y[turns], prepend=y[0])
+    high = np.repeat(limits[:, None], len(turns), axis=1)
     low, shift = -high, 1
-    while shift < n:
-        later, at = change[..., shift:], (low[..., shift:].copy(), high[..., shift:].copy())
-        low[..., shift:] = np.clip(low[..., :-shift] + later, *at)
-        high[..., shift:] = np.clip(high[..., :-shift] + later, *at)
-        change[..., shift:] = later + change[..., :-shift]
+    while shift < len(turns):
+        later, least, most = change[shift:], low[:, shift:].copy(), high[:, shift:].copy()
+        low[:, shift:] = np.minimum(np.maximum(low[:, :-shift] + later, least), most)
+        high[:, shift:] = np.minimum(np.maximum(high[:, :-shift] + later, least), most)
+        change[shift:] = later + change[:-shift]
         shift *= 2
-    return np.clip(change, low, high)
+    state = np.minimum(np.maximum(change, low), high)
+    last = np.repeat(np.arange(len(turns)), np.diff(turns, append=len(y)))
+    since, mean = y - y[turns][last], np.zeros(len(y))
+    for each, limit in zip(state, limits, strict=True):
+        mean += np.minimum(np.maximum(each[last] + since, -limit), limit)
+    return mean / len(limits)
 
 
 def _tone(s: Signals, setting: Setting) -> Array:
