@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.chain_values import SensorNoise
-from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from scipy.special import logsumexp
 
-from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import what_matters

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced
+from magyc_gtsam.factors.chain.chain_values import DELAY, ChainState, Reduced
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
-from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.factors.chain.chain_values import SensorNoise
-from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
