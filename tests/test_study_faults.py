@@ -86,7 +86,7 @@ def test_terms_count_as_they_stand_at_the_end() -> None:
     """A step that was named, before which the hard iron was another one, beside a delay and scales of the gyroscope."""
     step = np.array([4e-6, -2e-6, 1e-6])
     others = (Term("timing", [0.03], [[1e-6]]), Term("gyro-scale", np.full(6, 0.01), 1e-6 * np.eye(6)))
-    loop = Term("hysteresis", np.full(3, 1e-7), 1e-16 * np.eye(3), {"width": 2e-6})
+    loop = Term("hysteresis", np.full(3, 1e-7), 1e-16 * np.eye(3), {"coercive": 2e-6})
 
     def named(size: np.ndarray, sigma: float) -> mg.Calibration:
         terms = (Term("hard-iron-step", size, sigma**2 * np.eye(3), {"time": 300.0}), *others)
