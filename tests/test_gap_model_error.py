@@ -66,6 +66,15 @@ def test_terms_are_parameters_beside_which_columns_are_judged(extended: Refit) -
     assert (new.left_by_terms > 0.5).all()
 
 
+def test_a_value_far_from_its_prior_is_a_residual(extended: Refit) -> None:
+    """The noise may rise after a fit, and the prior then weighs more than it did: the sum of squares stays positive."""
+    fit = fit_of(extended.twin)
+    assert fit.terms is not None
+    tight = replace(fit, terms=fit.terms._replace(precision=1e6 * fit.terms.precision + 1e10))
+    held = float(tight.terms.precision @ tight.terms.value**2)  # type: ignore[union-attr]
+    assert 0 < tight.beside.square < fit.beside.square + held
+
+
 def test_a_named_effect_is_no_model_error() -> None:
     """Scale and axes of the gyroscope, far beyond what it could be off by and not show."""
     recording = mg.simulate("wide", 200, seed=22, effects=[("gyro-scale", 3.0)]).recording

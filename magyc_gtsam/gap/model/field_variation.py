@@ -48,6 +48,7 @@ class FieldVariation:
         gain: gain in log evidence over a constant field, nats.
         along, attitude: standard deviations along the way and with attitude, T.
         colour: standard deviation of coloured noise of the magnetometer beside it, T.
+        colour_period: correlation time of that, s.
         noise: ρ, relative to the noise of the sensors.
         period: correlation time along the way, s.
         components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ; last those of the colour.
@@ -58,6 +59,7 @@ class FieldVariation:
     along: float
     attitude: float
     colour: float
+    colour_period: float
     noise: float
     period: float
     components: Array
@@ -96,7 +98,8 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     turned = len(parts[1])
     still = np.zeros(3 * len(cosines))
     shapes = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, courses)]
-    fast = courses[np.array(CORRELATION) <= RULES.longest_colour]
+    times = [time for time in CORRELATION if time <= RULES.longest_colour]
+    fast = courses[np.isin(CORRELATION, times)]
     colours = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, fast)]
     search = _Search(v, project(raw), 3 * twin.n - len(twin.base_columns))
 
@@ -129,6 +132,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         along,
         _SHARES[share] * along,
         _deviation(colours[colour]) * noise,
+        times[(colour - 1) % len(times)] if colour else 0.0,
         noise,
         period,
         scaled,

@@ -87,7 +87,7 @@ def named(said: Answer, first: ScoreTests, base: Refit, short_term: SensorNoise)
     found = [
         *_terms(fitted, len(given), rivals, first),
         *_noise(said, first, fitted, stated),
-        *_of_the_place(said.tree.best, stated),
+        *_varying(said.tree.best, stated),
     ]
     there = {name: rivals[name] for name in rivals if any(one.name == name for one in found)}
     left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
@@ -211,31 +211,32 @@ def _any_change(score: Score, first: ScoreTests) -> bool:
 
 
 def _noise(said: Answer, first: ScoreTests, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
-    """Yield the effects on single samples, and correlated noise."""
+    """Yield the effects on single samples, and correlated noise where the field does not vary."""
     scores = [*said.left_out, *(one for one in first.noise if one.name == "quantisation")]
-    if stated.get(COLOUR, 0.0) > PRIOR.named_from:
+    if stated.get(COLOUR, 0.0) > PRIOR.named_from and not said.tree.best.of_colour[0]:
         scores += [
             one for one in replace(first, recording=said.recording, refit=fitted).noise if one.name == COLOUR
         ]
     yield from (as_found(score) for score in scores if stated.get(score.name, 0.0) > PRIOR.named_from)
 
 
-def _of_the_place(node: Node, stated: Mapping[str, float]) -> Iterator[Found]:
-    """Yield the variation of the field, an effect that changes no reading; without a position it may be a gradient."""
+def _varying(node: Node, stated: Mapping[str, float]) -> Iterator[Found]:
+    """Yield the field's variation and correlated noise beside it, which change no parameter.
+
+    Without a position the variation may be a gradient.
+    """
     variation = node.variation
-    if variation is not None and stated.get(FIELD_VARIATION, 0.0) > PRIOR.named_from:
-        size = float(np.hypot(variation.along, variation.attitude))
-        test = NoiseScore(
-            FIELD_VARIATION,
-            2 * variation.gain,
-            0.0,
-            variation.gain,
-            True,
-            np.array([size]),
-            np.array([0.5 * size]),  # the grid of amplitudes has octaves
-            {"period": variation.period, "attitude": variation.attitude},
-        )
-        yield as_found(test, (GRADIENT.name,) if GRADIENT.missing(node.fit.twin) else ())
+    if variation is None:
+        return
+    rivals = (GRADIENT.name,) if GRADIENT.missing(node.fit.twin) else ()
+    field, place = np.hypot(variation.along, variation.attitude), {"attitude": variation.attitude}
+    for name, evidence, size, setting, others in (
+        (COLOUR, 0.5 * node.of_colour[0], variation.colour, {"correlation_time": variation.colour_period}, ()),
+        (FIELD_VARIATION, variation.gain, float(field), {"period": variation.period, **place}, rivals),
+    ):
+        if size and stated.get(name, 0.0) > PRIOR.named_from:
+            value, sigma = np.array([size]), np.array([0.5 * size])  # the grid of amplitudes has octaves
+            yield as_found(NoiseScore(name, 2 * evidence, 0.0, evidence, True, value, sigma, setting), others)
 
 
 def _family(tree: Tree) -> tuple[str, ...]:
