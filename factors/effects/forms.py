@@ -199,7 +199,7 @@ def _saturation(s: Signals, setting: Setting) -> Array:
     """Return the column of the excess over `level` T, from which on the slope falls linearly over `fall` T, if set.
 
     Cores saturate within a finite field: hyperbolic tangent, Langevin's function and others from a level on differ
-    from this by 0.004 % to 0.06 % of the lost power, two to five times less than from a logistic slope.
+    from this by 0.004 % to 0.06 % of the lost power, most of them two to five times less than from a logistic slope.
     """
     reading = s.path + s.need("hard_iron")[:, None, None]
     level, knee = setting["level"], setting.get("fall", 0.0)

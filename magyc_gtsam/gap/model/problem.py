@@ -23,7 +23,7 @@ _STILL = 1e-9  # standard deviation of a constant channel relative to its larges
 _PASSES = 20  # fixed-point iterations for gyroscope terms that read the true rate; most need three
 _CLOSE = 1e-7  # rad/s, change at which the iteration has converged
 _RUNAWAY = 10.0  # times the first change, beyond which the iteration diverges
-_INSTANTS = 3  # of a window; five change the power of a hysteresis in BROAD 01 and 32 by 1 and 3 %
+_INSTANTS = 3  # of a window; of a hysteresis in BROAD 01 and 32 five leave 1 and 3 % less
 _KEPT = 4  # cached integrations of one problem, for a search that alternates between models
 # rad by which a change of bias and delay may turn the field within a window, up to which the first-order derivatives
 # of an integration replace a new one: the error is half its square, where the noise of a window is milliradians
