@@ -117,7 +117,8 @@ def test_another_log_may_contradict(
 
 def test_the_time_of_a_step_has_a_sigma() -> None:
     """Over weak and strong steps, errors in sigmas; and the words carry it."""
-    errors, sigmas = [], []
+    errors: list[float] = []
+    sigmas: dict[bool, list[float]] = {False: [], True: []}  # by whether the step is strong
     for seed in range(904, 910):
         simulation = mg.simulate("wide", 150, seed=seed, effects=[("hard-iron-step", 2.0 + 3.0 * (seed % 2))])
         gap = mg.find_gap(simulation.recording, candidates=["hard-iron-step"])
@@ -125,11 +126,11 @@ def test_the_time_of_a_step_has_a_sigma() -> None:
         for effect in gap.effects:
             if effect.name == "hard-iron-step" and len(gap.effects) == 1:
                 errors.append((effect.setting["time"] - truth) / effect.setting["time_sigma"])
-                sigmas.append(effect.setting["time_sigma"])
+                sigmas[bool(seed % 2)].append(effect.setting["time_sigma"])
                 assert " ± " in effect.sentence.partition(" µT at ")[2]
     assert len(errors) >= 5
     assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.8
-    assert max(sigmas) > 1.1 * min(sigmas)
+    assert np.median(sigmas[False]) > np.median(sigmas[True])  # by 4 to 99 % on three sets of seeds
 
 
 def test_restricted_candidates_are_not_called_a_catalogue(late: mg.Recording) -> None:

@@ -29,7 +29,7 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
-_COLOURED = float(np.log(COLOURS))
+_COLOURED = float(np.log(COLOURS))  # the same for that of coloured noise
 _FINER = 2  # rounds of refining a setting
 _BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 

@@ -33,7 +33,8 @@ CORRELATION = (1.0, 4.0, 16.0)  # s
 _AMPLITUDES = 1e-6 * 2.0 ** np.arange(-5.0, 4.0)  # T, over ρ, which is 4 or 5 in rooms
 _SHARES = (0.0, 0.5, 1.0, 2.0)  # amplitude with attitude over that along the way; attitude alone is not the place
 COMBINATIONS = len(CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
-COLOURS = sum(period <= RULES.longest_colour for period in CORRELATION) * len(_AMPLITUDES)
+_FAST = tuple(time for time in CORRELATION if time <= RULES.longest_colour)  # s, of coloured noise
+COLOURS = len(_FAST) * len(_AMPLITUDES)
 _TURN = 0.6  # rad, correlation length in attitude: the likeliest of 0.3, 0.6 and 1 on hand-held real logs
 _ATTITUDES = 80  # inducing attitudes of the Nyström approximation
 _LEAST = 0.05  # smallest eigenvalue of the kernel at the inducing attitudes that is kept
@@ -98,8 +99,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     turned = len(parts[1])
     still = np.zeros(3 * len(cosines))
     shapes = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, courses)]
-    times = [time for time in CORRELATION if time <= RULES.longest_colour]
-    fast = courses[np.isin(CORRELATION, times)]
+    fast = courses[np.isin(CORRELATION, _FAST)]
     colours = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, fast)]
     search = _Search(v, project(raw), 3 * twin.n - len(twin.base_columns))
 
@@ -132,11 +132,11 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         along,
         _SHARES[share] * along,
         _deviation(colours[colour]) * noise,
-        times[(colour - 1) % len(times)] if colour else 0.0,
+        _FAST[(colour - 1) % len(_FAST)] if colour else 0.0,
         noise,
         period,
         scaled,
-        int((colours[colour] > 0).sum()) if coloured else 0,
+        int((colours[colour] > 0).sum()),
         columns,
         less,
     )
