@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.keyframe_field import KeyframeField
+from magyc_gtsam.factors.numbers import real_array
 from magyc_gtsam.factors.pose import sensor_rotation
 from magyc_gtsam.factors.units import LIMITS, check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
@@ -119,7 +120,10 @@ def _usual(time: ArrayLike, value: ArrayLike, limit: float) -> tuple[float, list
 
 def _block(name: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Array]:
     """Return stamps (N,) and samples (N, 3) of one sample or a block."""
-    stamps, samples = np.asarray(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
+    try:
+        stamps, samples = real_array(time), real_array(value)
+    except (TypeError, ValueError) as error:
+        raise MagycError(f"{name}: not an array of numbers ({error})") from None
     if stamps.ndim > 1 or samples.shape != (*stamps.shape, 3):
         raise MagycError(
             f"{name}: samples of shape {samples.shape} for stamps of shape {stamps.shape}, expected "

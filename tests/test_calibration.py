@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -128,11 +129,24 @@ def test_save_replaces_the_file_in_one_step(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", out_of_power)
-        with pytest.raises(OSError, match="out of power"):
+        with pytest.raises(MagycError, match=r"cal.yaml: cannot be written \(out of power\)"):
             second.save(path)
     assert Calibration.load(path).message == "first"
     second.save(path)
     assert Calibration.load(path).message == "second"
+    assert [p.name for p in tmp_path.iterdir()] == ["cal.yaml"]
+
+
+def test_files_that_several_write_at_once_are_one_of_theirs(tmp_path):
+    path = tmp_path / "cal.yaml"
+
+    def write(number):
+        for _ in range(10):
+            Calibration(SOFT_IRON, HARD_IRON, message=f"{number}" * 100).save(path)
+            assert len(set(Calibration.load(path).message)) == 1
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, range(4)))
     assert [p.name for p in tmp_path.iterdir()] == ["cal.yaml"]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -101,3 +103,57 @@ def test_a_calibrated_field_that_is_none_of_the_earths_is_warned_of() -> None:
     ):
         calibration.apply(FIELD * 1e4)  # gauss
     assert calibration.apply(FIELD).shape == FIELD.shape
+
+
+def test_numbers_that_numpy_would_change_silently_are_refused_or_left_out() -> None:
+    """A masked array keeps its values under the mask, and a complex one loses half of them."""
+    stamps, masked = STEPS / 1e9, np.ma.masked_array(FIELD, mask=np.tile(np.arange(N) % 7 == 3, (3, 1)).T)
+    with pytest.raises(MagycError, match="magnetic_field: 7 of 50 rows are not finite, the first is row 3"):
+        mg.Recording(stamps, masked, RATE)
+    online = mg.OnlineCalibrator()
+    online.update(stamps, masked, RATE)
+    assert online.progress.left_out == 0  # rows of NaN stand for no sample
+    assert np.isnan(mg.Calibration(np.eye(3), np.zeros(3)).apply(masked)).sum() == 21
+    for call in (mg.Recording, online.update):
+        with pytest.raises(MagycError, match="magnetic_field: not an array of numbers \\(complex"):
+            call(stamps, FIELD * 1j, RATE)  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda r: mg.read(None), "read: the path of a file is needed, got None"),
+        (lambda r: mg.read_many(3), "read_many: the path of a file is needed, got 3"),
+        (lambda r: mg.Calibration.load(b"x"), "Calibration.load: the path of a file is needed"),
+        (lambda r: mg.OnlineCalibrator().save(""), "save: the path of a file is needed, got ''"),
+        (lambda r: mg.calibrate(r, method=["smoother"]), r"method: \['smoother'\] is not one of"),
+        (lambda r: mg.calibrate(r, robust=np.array([True, False])), "robust: .* is neither True nor False"),
+        (lambda r: mg.calibrate(r, misalignment=np.zeros(3)), "misalignment must be between 0 and"),
+        (lambda r: mg.calibrate(r, progress=3), "progress: a function of the share done is needed, got int"),
+        (lambda r: mg.calibrate_many(r), "several recordings are needed, got a Recording; pass a list"),
+        (lambda r: mg.calibrate_many([r, 3]), "mg.calibrate_many: expected a Recording, got a int"),
+        (lambda r: mg.calibrate_accelerometer(3), "expected a Recording, got a int"),
+        (lambda r: mg.simulate("wide", seed=-1), "seed: an integer from 0 on is needed, got -1"),
+        (lambda r: mg.simulate("wide", duration="x"), "duration: a number is needed, got 'x'"),
+        (lambda r: mg.simulate("wide", effects=3), "effects: a list of names is needed, got 3"),
+        (lambda r: r.between("a"), "start: must be a number of seconds, got 'a'"),
+        (lambda r: r.rows([1, 2, 99]), "rows: not a slice, mask or indices of 50 rows"),
+        (lambda r: mg.Recording(r.time, FIELD, name=None), "name: a text is needed, got None"),
+        (lambda r: mg.Recording(r.time, FIELD, channels=[1]), "channels: {name: .* is needed"),
+        (lambda r: mg.Recording(r.time, FIELD, magnetic_field_fresh=np.arange(N)), "one flag per row is needed"),
+    ],
+)
+def test_arguments_of_a_wrong_kind_are_refused_in_one_sentence(call: Any, said: str) -> None:
+    with pytest.raises(MagycError, match=said):
+        call(mg.Recording(STEPS / 1e9, FIELD, RATE))
+
+
+def test_numbers_of_numpy_as_options_can_be_saved(tmp_path: Path) -> None:
+    sim = mg.simulate("wide", duration=60)
+    options = {"noise": np.array([1e-6, 5e-3], np.float32), "delay": np.float32(0), "window": np.int64(1)}
+    for name in ("cal.yaml", "cal.json"):
+        mg.calibrate(sim.recording, **options).save(tmp_path / name)
+        assert mg.Calibration.load(tmp_path / name).configuration["window"] == 1
+    online = mg.OnlineCalibrator(**options)
+    online.save(tmp_path / "state.npz")
+    assert mg.OnlineCalibrator.load(tmp_path / "state.npz").options == online.options

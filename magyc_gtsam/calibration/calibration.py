@@ -24,6 +24,7 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.storage.mapping import load_mapping
+from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import write_text
 
 
@@ -271,8 +272,8 @@ class Calibration:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML (.yaml, .yml) or JSON (.json) without loss, replacing the file in one step."""
-        path = Path(path)
-        write_text(path, as_text(path.suffix, self.to_dict()))
+        file = expect_path("save", path)
+        write_text(file, as_text(file.suffix, self.to_dict()))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Calibration:
@@ -281,8 +282,7 @@ class Calibration:
         Raises:
             MagycError: the file does not exist or is not a calibration.
         """
-        path = Path(path)
-        data = load_mapping(path, "calibration")
+        data = load_mapping(expect_path("Calibration.load", path), "calibration")
         try:
             if data.get("format") == FORMAT and {"soft_iron", "hard_iron"} <= data.keys():
                 check(data)

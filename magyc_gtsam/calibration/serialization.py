@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import fields
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.observability import Observability
-from magyc_gtsam.storage.mapping import dump_yaml
+from magyc_gtsam.storage.mapping import dump_yaml, json_types
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # a `Calibration`, which imports this module
@@ -25,16 +22,7 @@ def as_mapping(calibration: DataclassInstance) -> dict[str, Any]:
     """Return all fields of a calibration as JSON types, with the format's name."""
     result: dict[str, Any] = {"format": FORMAT}
     for f in fields(calibration):
-        value = getattr(calibration, f.name)
-        if isinstance(value, np.ndarray):
-            value = value.tolist()
-        elif isinstance(value, MappingProxyType):
-            value = dict(value)
-        elif isinstance(value, Observability):
-            value = value.to_dict()
-        elif f.name == "terms":
-            value = [term.to_dict() for term in value]
-        result[f.name] = value
+        result[f.name] = json_types(getattr(calibration, f.name))
     return result
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import real_array
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.checks import columns_of
 
@@ -60,7 +61,7 @@ def vectors(name: str, value: ArrayLike) -> Array:
         MagycError: it is not numeric or has another shape; the message starts with `name`.
     """
     try:
-        array = np.asarray(value, dtype=np.float64)
+        array = real_array(value)
     except (TypeError, ValueError):
         raise MagycError(
             f"{name}: expected an array (N, 3) or (3,) of numbers, got {value!r:.40}; mg.read reads a log"

@@ -16,7 +16,7 @@ from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.kept_memory import keep_freed_memory
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.recording.expected import expect_recording
+from magyc_gtsam.recording.expected import expect_progress, expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.sensor_faults.usable import without_faults
 
@@ -158,13 +158,14 @@ def calibrate(
         MagycError: unknown method or option, a stuck sensor, or data that the method cannot use.
     """
     keep_freed_memory()
-    entry = _METHODS.get(method) or methods().get(method)
+    entry = (_METHODS.get(method) or methods().get(method)) if isinstance(method, str) else None
     if entry is None:
         raise MagycError(f"method: {method!r} is not one of {', '.join(methods())}")
     if entry.problem:
         raise MagycError(f"method {method!r}: {entry.problem}")
     check_field_strength(field_strength)
     expect_recording("mg.calibrate", recording)
+    expect_progress(progress)
     field = recording.magnetic_field
     if (field[-1] == field[0]).all() and (field == field[0]).all():
         raise MagycError("magnetic_field: all rows are the same; the sensor is stuck, or was not turned")

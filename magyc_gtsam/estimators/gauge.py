@@ -38,7 +38,7 @@ def check_noise(value: Any) -> None:
     """
     if value is None:
         return
-    pair = isinstance(value, (tuple, list)) and len(value) == 2
+    pair = isinstance(value, (tuple, list, np.ndarray)) and len(value) == 2
     if not pair or not all(
         isinstance(each, (int, float, np.number)) and not isinstance(each, bool) and 0 < each < most
         for each, most in zip(value, _LARGEST_NOISE, strict=True)

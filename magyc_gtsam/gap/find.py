@@ -36,7 +36,7 @@ from magyc_gtsam.gap.scores.look import look
 from magyc_gtsam.gap.simulated import SimulatedGap, compare
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.recording.expected import expect_recording
+from magyc_gtsam.recording.expected import expect_progress, expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.sensor_faults.usable import without_faults
 
@@ -88,8 +88,7 @@ def find_gap(
         MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion or
             noise-free data are not an error but give the verdict "not enough information".
     """
-    if progress is not None and not callable(progress):
-        raise MagycError(f"progress: a function of the share done is needed, got {type(progress).__name__}")
+    expect_progress(progress)
     names = _names(candidates)
     if isinstance(recording, Sequence) and not isinstance(recording, str):
         if calibration is not None or simulated is not None:

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,8 @@ from magyc_gtsam.history.log_factor import MICROTESLA, PER_MILLE, LogFactor, fac
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.storage.mapping import parse_json, parse_yaml
+from magyc_gtsam.storage.mapping import json_types, parse_json, parse_yaml
+from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import write_text
 
 _FORMAT = "magyc-gtsam history 2"
@@ -205,7 +205,7 @@ class History:
         """Return everything needed to restore the history, as JSON types."""
         return {
             "format": _FORMAT,
-            "options": self.options,
+            "options": json_types(self.options),
             "model": asdict(self.model),
             "logs": [factor.to_dict() for factor in self.factors],
             "groups": [list(group) for group in self.groups],
@@ -219,7 +219,7 @@ class History:
             + (f"[\n{_LIST.join(map(_dumped, value))}\n]" if isinstance(value, list) else _dumped(value))
             for name, value in self.to_dict().items()
         ]
-        write_text(Path(path), "{\n" + _LIST.join(lines) + "\n}\n")
+        write_text(expect_path("save", path), "{\n" + _LIST.join(lines) + "\n}\n")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> History:
@@ -228,7 +228,7 @@ class History:
         Raises:
             MagycError: the file does not exist, cannot be read or is not a history.
         """
-        path = Path(path)
+        path = expect_path("History.load", path)
         try:
             data = _parsed(path.read_text(encoding="utf-8"))
         except FileNotFoundError:

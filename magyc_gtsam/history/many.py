@@ -12,6 +12,7 @@ from magyc_gtsam.history.history import History
 from magyc_gtsam.history.log_factor import LogFactor, factor_of
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.expected import expect_progress, expect_recording
 
 Progress = Callable[[float], None]
 
@@ -41,6 +42,11 @@ def calibrate_many(
         raise MagycError(
             f"calibrate_many: {os.fspath(recordings)!r} is a path; pass mg.read_many({os.fspath(recordings)!r})"
         )
+    if isinstance(recordings, Recording) or not isinstance(recordings, Iterable):
+        raise MagycError(
+            f"calibrate_many: several recordings are needed, got a {type(recordings).__name__}; pass a list of them"
+        )
+    expect_progress(progress)
     logs = recordings if isinstance(recordings, Sequence) else list(recordings)
     if not len(logs):
         raise MagycError("calibrate_many: there are no recordings; pass at least one")
@@ -60,4 +66,5 @@ def _read_factor(logs: Sequence[Recording], i: int, time: float | None, options:
         recording = logs[i]
     except MagycError as problem:
         return LogFactor(f"log {i + 1}", time, None, None, problem=str(problem))
+    expect_recording("mg.calibrate_many", recording)
     return factor_of(recording, time, options)

@@ -16,6 +16,7 @@ from magyc_gtsam.factors.lazy import attribute
 from magyc_gtsam.io.log_info import LogInfo, Source, turned
 from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.storage.paths import expect_path
 
 if TYPE_CHECKING:
     from magyc_gtsam.io.mcap_writer import write_mcap
@@ -107,7 +108,8 @@ def read(
         progress=progress,
         options=options,
     )
-    recording: Recording = _reader(Path(path)).read(Path(path), request)
+    file = expect_path("read", path)
+    recording: Recording = _reader(file).read(file, request)
     return recording
 
 
@@ -126,7 +128,8 @@ def info(path: str | PathLike[str], **arguments: Any) -> LogInfo:
 
 def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[LogInfo, Recording | None]:
     """Return the result of `info` and the recording; None if `read` cannot make one."""
-    described: LogInfo = _reader(Path(path)).info(Path(path))
+    file = expect_path("info", path)
+    described: LogInfo = _reader(file).info(file)
     try:
         recording = read(path, **arguments)
     except MagycError as error:

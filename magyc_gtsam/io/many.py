@@ -11,6 +11,7 @@ from typing import Any, overload
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import read
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.storage.paths import expect_path
 
 SUFFIXES = (".mcap", ".ulg", ".bin", ".csv", ".txt", ".tsv", ".dat", ".log")
 _PATTERN = ("*", "?", "[")
@@ -28,8 +29,11 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
         MagycError: a path does not exist, or a folder or pattern has no logs.
     """
     logs: dict[Path, None] = {}
-    for each in [paths] if isinstance(paths, str | PathLike) else paths:
-        path = Path(each)
+    listed: Iterable[Any] = (
+        paths if isinstance(paths, Iterable) and not isinstance(paths, str | bytes) else [paths]
+    )
+    for each in listed:
+        path = expect_path("read_many", each)
         if path.is_dir():
             inside = [file for file in sorted(path.rglob("*")) if _is_log(file)]
             if not inside:

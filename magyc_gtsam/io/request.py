@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.units import factor
+from magyc_gtsam.recording.checks import check_interval
+from magyc_gtsam.recording.expected import expect_progress
 
 Selection = str | Sequence[str] | None
 SENSORS = ("magnetic_field", "angular_rate", "acceleration")
@@ -38,9 +40,12 @@ class Request:
             raise MagycError(f"stamps: must be 'header' or 'log', got {self.stamps!r}")
         for quantity, unit in self.units.items():
             factor(quantity, unit)
-        for name, value in (("start", self.start), ("end", self.end)):
-            if value is not None and not (isinstance(value, int | float) and value == value):
-                raise MagycError(f"{name}: must be a number of seconds, got {value!r}")
+        check_interval(self.start, self.end)
+        expect_progress(self.progress)
+        if self.channels is not None and not (
+            isinstance(self.channels, Collection) and all(isinstance(name, str) for name in self.channels)
+        ):
+            raise MagycError(f"channels: a list of names is needed, got {self.channels!r:.60}")
 
     def named(self, sensor: str) -> str | None:
         """Return the topic or message that is named for a sensor; None if none is.

@@ -22,6 +22,7 @@ from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_fa
 from magyc_gtsam.online.intake import Intake, scalar, vector
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.faults import SensorFaults
+from magyc_gtsam.storage.mapping import json_types
 
 _ENGINES = {  # method → "module:class"; the class takes the method's options as keywords
     "smoother": "magyc_gtsam.online.smoother:OnlineSmoother",
@@ -60,7 +61,7 @@ class OnlineCalibrator:
         check_field_strength(options.get("field_strength"))
         self.method = method
         # The state file needs an earlier calibration as JSON types.
-        self.options = {k: v.to_dict() if isinstance(v, Calibration) else v for k, v in options.items()}
+        self.options = json_types(options)
         self._engine: Engine = engine(**options)
         self._intake = Intake()
         self._faults = SensorFaults()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import real_array
 from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.stamps import check_seconds
@@ -256,7 +257,7 @@ def vector(name: str, value: ArrayLike | None) -> Array:
     if value is None:
         return np.full(3, np.nan)
     try:
-        array = np.array(value, dtype=np.float64)
+        array = real_array(value, copy=True)
     except (TypeError, ValueError) as error:
         raise MagycError(f"{name}: not an array of numbers ({error})") from None
     if array.shape != (3,):
@@ -267,7 +268,7 @@ def vector(name: str, value: ArrayLike | None) -> Array:
 def _array(name: str, value: ArrayLike, vectors: int) -> Array:
     """Return an array (N,) or (N, 3) from one sample or a block."""
     try:
-        array = np.array(value, dtype=np.float64)
+        array = real_array(value, copy=True)
     except (TypeError, ValueError) as error:
         raise MagycError(f"{name}: not an array of numbers ({error})") from None
     if array.ndim == vectors:

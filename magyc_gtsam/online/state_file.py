@@ -16,6 +16,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array
+from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import whole_file
 
 _FORMAT = "magyc-gtsam online state 12"
@@ -29,16 +30,13 @@ def write(
     Raises:
         MagycError: the file cannot be written.
     """
-    path = Path(path)
+    path = expect_path("save", path)
     header = json.dumps({"format": _FORMAT, "method": method, "options": dict(options)})
     arrays: dict[str, Any] = dict(state)
-    try:
-        with whole_file(path) as part, part.open("wb") as file:
-            np.savez(file, header=np.array(header), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise MagycError(f"{path}: cannot be written ({error.strerror})") from None
+    with whole_file(path) as part, part.open("wb") as file:
+        np.savez(file, header=np.array(header), **arrays)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def read(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any], dict[str, Array]]:
@@ -47,7 +45,7 @@ def read(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any], dict[str, A
     Raises:
         MagycError: the file does not exist, is damaged, or is not a saved state of this version.
     """
-    path = Path(path)
+    path = expect_path("OnlineCalibrator.load", path)
     try:
         _within_limits(path)
         with np.load(path, allow_pickle=False) as file:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import real_array
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,7 +43,7 @@ def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = Fals
         MagycError: not numeric, of another shape, or not finite.
     """
     try:
-        array = value if _given_away(value) else np.array(value, dtype=np.float64, order="C")
+        array = value if _given_away(value) else real_array(value, copy=True)
     except (TypeError, ValueError) as error:
         raise MagycError(f"{name}: not an array of numbers ({error})") from None
     expected = tuple(s for s in shape if s is not ...)
@@ -69,6 +71,27 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Raise a MagycError unless `value` is one of `choices`."""
     if value not in choices:
         raise MagycError(f"{name}: must be {' or '.join(map(repr, choices))}, got {value!r}")
+
+
+def check_interval(start: object, end: object) -> None:
+    """Raise a MagycError unless both ends of an interval are numbers of seconds or None."""
+    for name, value in (("start", start), ("end", end)):
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and value == value
+        if value is not None and not number:
+            raise MagycError(f"{name}: must be a number of seconds, got {value!r:.40}")
+
+
+def named_channels(channels: Any) -> Mapping[str, Any]:
+    """Return the channels of a recording by name; None stands for none.
+
+    Raises:
+        MagycError: not a mapping, or a name that is no text.
+    """
+    if channels is None:
+        return {}
+    if not isinstance(channels, Mapping) or not all(isinstance(name, str) for name in channels):
+        raise MagycError(f"channels: {{name: (N,) or (N, k)}} is needed, got {channels!r:.60}")
+    return channels
 
 
 def columns_of(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""The check that an argument is a `Recording`, with a remedy for the usual mistakes."""
+"""The checks of arguments that several functions have: recordings, and functions that are told the progress."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ from typing import Any
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording.checks import columns_of
 from magyc_gtsam.recording.recording import Recording
+
+
+def expect_progress(value: Any) -> None:
+    """Raise a MagycError unless the argument `progress` is a function or None."""
+    if value is not None and not callable(value):
+        raise MagycError(f"progress: a function of the share done is needed, got {type(value).__name__}")
 
 
 def expect_recording(function: str, value: Any) -> None:

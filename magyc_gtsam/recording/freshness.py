@@ -22,7 +22,10 @@ def row_mask(name: str, mask: Any, rows: int) -> Mask:
     every: Mask = np.broadcast_to(np.True_, rows)
     if mask is None:
         return every
-    result = np.array(mask, dtype=bool)
+    result = np.array(mask)
+    if result.dtype != bool and not np.isin(result, (0, 1)).all():
+        raise MagycError(f"{name}: one flag per row is needed, got {result.dtype} values other than 0 and 1")
+    result = result.astype(bool)
     if result.shape != (rows,):
         raise MagycError(f"{name}: shape {result.shape}, expected ({rows},), one flag per row")
     if result.all():

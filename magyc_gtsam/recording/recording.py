@@ -23,8 +23,10 @@ from magyc_gtsam.recording.checks import (
     check_ascending,
     check_choice,
     check_field_unit,
+    check_interval,
     check_rate_unit,
     frozen,
+    named_channels,
     unit_quaternions,
     without_no_values,
 )
@@ -93,7 +95,10 @@ class Recording:
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the dataclass is frozen
+        if not isinstance(self.name, str):
+            raise MagycError(f"name: a text is needed, got {self.name!r:.40}")
         put(self, "name", printable(self.name[:LONGEST]))
+        put(self, "notes", (self.notes,) if isinstance(self.notes, str) else tuple(self.notes))
         check_choice("angular_rate_is", self.angular_rate_is, get_args(RateKind))
         check_choice("attitude_is", self.attitude_is, get_args(AttitudeKind))
         check_choice("magnetic_field_unit", self.magnetic_field_unit, get_args(FieldUnit))
@@ -115,7 +120,9 @@ class Recording:
             put(self, "acceleration", frozen("acceleration", self.acceleration, (n, 3)))
         if self.attitude is not None:
             put(self, "attitude", unit_quaternions(frozen("attitude", self.attitude, (n, 4), nan=True)))
-        channels = {k: frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
+        channels = {
+            k: frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in named_channels(self.channels).items()
+        }
         for name in filter(kinds, channels):
             channels[name], note = without_no_values(name, channels[name])
             put(self, "notes", (*self.notes, note) if note else self.notes)
@@ -176,6 +183,7 @@ class Recording:
         Raises:
             MagycError: the interval holds fewer than 3 rows.
         """
+        check_interval(start, end)
         since = self.time - self.time[0]
         first = -np.inf if start is None else start
         last = np.inf if end is None else end
@@ -188,7 +196,15 @@ class Recording:
         return self.rows(rows)
 
     def rows(self, rows: Any) -> Recording:
-        """Return the recording reduced to the given rows (slice, mask or indices)."""
+        """Return the recording reduced to the given rows (slice, mask or indices).
+
+        Raises:
+            MagycError: there are no such rows, fewer than 3 of them, or they do not ascend.
+        """
+        try:
+            rows = np.arange(len(self.time))[rows]
+        except (IndexError, TypeError) as error:
+            raise MagycError(f"rows: not a slice, mask or indices of {len(self.time)} rows ({error})") from None
 
         def take(value: Array | None) -> Any:
             return None if value is None else value[rows]

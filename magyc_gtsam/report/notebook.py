@@ -21,6 +21,7 @@ from magyc_gtsam.report.analysis import field_history
 from magyc_gtsam.report.gap_verdict import judged_gap
 from magyc_gtsam.report.gap_words import effect_value
 from magyc_gtsam.report.verdict import judged
+from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.study.outcome import Comparison
 
 if TYPE_CHECKING:
@@ -77,9 +78,10 @@ def plot_gap(gap: Gap) -> Figure:
 def report(calibration: Calibration, path: str | os.PathLike[str], recording: Recording | None = None) -> Path:
     """Write the page of a calibration as an HTML file, or its figures if the name ends in .pdf; return the path."""
     recording = _recording_of(calibration, recording)
-    if Path(path).suffix == ".pdf":
-        plot_calibration(calibration, recording).savefig(path)
-        return Path(path)
+    file = expect_path("report", path)
+    if file.suffix == ".pdf":
+        plot_calibration(calibration, recording).savefig(file)
+        return file
     from magyc_gtsam.report.page import write_report
 
     has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None

@@ -26,6 +26,7 @@ from magyc_gtsam.report.analysis import (
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart, clock, origin, over_time, sphere
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict, degrees, judged
+from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import write_text
 
 _MICRO = 1e6
@@ -59,7 +60,7 @@ def write_report(
     Returns:
         The path of the file, written atomically.
     """
-    path = Path(target)
+    path = expect_path("report", target)
     if path.suffix != ".html":
         path = path / "report.html"
     write_text(path, render(recording, calibration, residuals, verdict))

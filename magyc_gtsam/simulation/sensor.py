@@ -92,6 +92,13 @@ def simulate(
     Raises:
         MagycError: unknown motion, effect or channel, or too few or too many samples.
     """
+    sizes = {"magnetometer_noise": magnetometer_noise, "gyroscope_noise": gyroscope_noise, "delay": delay}
+    for name, value in {"duration": duration, "rate": rate, **sizes}.items():
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise MagycError(f"{name}: a number is needed, got {value!r:.40}")
+    for name, number in (("seed", seed), ("effects_seed", effects_seed)):
+        if number is not None and (not isinstance(number, int | np.integer) or number < 0):
+            raise MagycError(f"{name}: an integer from 0 on is needed, got {number!r:.40}")
     path, called = _path(motion)
     wanted = chosen(effects, seed if effects_seed is None else effects_seed)
     recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])

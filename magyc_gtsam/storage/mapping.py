@@ -152,6 +152,18 @@ def dump_yaml(data: Mapping[str, Any]) -> str:
     return text
 
 
+def json_types(value: Any) -> Any:
+    """Return a value with numpy's numbers and arrays, and other mappings and tuples, as JSON types."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {name: json_types(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_types(each) for each in value]
+    to_dict = getattr(value, "to_dict", None)
+    return value if to_dict is None else json_types(to_dict())
+
+
 def numbers(name: str, value: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return `value` as a float64 array.
 

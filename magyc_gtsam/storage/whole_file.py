@@ -1,28 +1,70 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, also by several processes at once."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from magyc_gtsam.factors.errors import MagycError
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks; two processes must not write one file there
+    fcntl = None  # type: ignore[assignment]
 
 
 @contextmanager
 def whole_file(file: Path) -> Iterator[Path]:
     """Yield a temporary file that replaces `file` when the block ends, and is removed if the block raises.
 
-    The folder is created if it does not exist. The temporary file that a killed process leaves behind is overwritten by
-    the next run.
+    The folder is created if it does not exist. Writers of the same file wait for each other, so that each file is one
+    of theirs. The temporary file that a killed process leaves behind is overwritten by the next run.
+
+    Raises:
+        MagycError: the file cannot be written.
     """
-    part = file.with_name(file.name + ".part")
-    file.parent.mkdir(parents=True, exist_ok=True)
     try:
-        yield part
-        os.replace(part, file)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+        if file.is_dir():
+            raise IsADirectoryError(None, "it is a folder")
+        part = file.with_name(file.name + ".part")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with _own(part):
+            try:
+                yield part
+                os.replace(part, file)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+    except OSError as error:
+        raise MagycError(
+            f"{file}: cannot be written ({error.strerror or error}); check the path, its permissions and the space left"
+        ) from None
+
+
+@contextmanager
+def _own(part: Path) -> Iterator[None]:
+    """Create a file, and let only one process or thread at a time be inside such a block for it."""
+    while True:
+        descriptor = os.open(part, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            if fcntl is not None:
+                with suppress(OSError):  # a file system without locks
+                    fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if _is_still(descriptor, part):
+                yield
+                return
+        finally:
+            os.close(descriptor)
+
+
+def _is_still(descriptor: int, file: Path) -> bool:
+    """Return whether an open file has its name still; the one who had it before has renamed or removed it otherwise."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(file))
+    except FileNotFoundError:
+        return False
 
 
 def write_text(file: Path, text: str) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,9 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.kernels import kernel as kernel_of
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array, Mask, Recording, Samples
+from magyc_gtsam.recording.expected import expect_progress, expect_recording
 from magyc_gtsam.storage.mapping import dump_yaml, load_mapping, numbers
+from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import write_text
 
 STANDARD_GRAVITY = 9.80665  # m/s²
@@ -96,7 +97,7 @@ class AccelerometerCalibration:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML, bit for bit, replacing the file in one step."""
-        write_text(Path(path), dump_yaml(self.to_dict()))
+        write_text(expect_path("save", path), dump_yaml(self.to_dict()))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> AccelerometerCalibration:
@@ -105,7 +106,7 @@ class AccelerometerCalibration:
         Raises:
             MagycError: the file does not exist, or is not the calibration of an accelerometer.
         """
-        data = load_mapping(path, "calibration of an accelerometer")
+        data = load_mapping(expect_path("AccelerometerCalibration.load", path), "calibration of an accelerometer")
         if data.pop("format", None) != _FORMAT:
             raise MagycError(f"{path}: not the calibration of an accelerometer")
         try:
@@ -155,6 +156,8 @@ def calibrate_accelerometer(
     Raises:
         MagycError: no accelerometer, too few samples, a wrong unit, or samples that do not lie on an ellipsoid.
     """
+    expect_recording("mg.calibrate_accelerometer", recording)
+    expect_progress(progress)
     report = progress or (lambda _: None)
     report(0.0)
     kernel_of(kernel)

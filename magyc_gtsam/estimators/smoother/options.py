@@ -92,7 +92,7 @@ class SmootherOptions:
     def __post_init__(self) -> None:
         check_field_strength(self.field_strength)
         check_noise(self.noise)
-        if self.robust not in (None, True, False):
+        if not (self.robust is None or isinstance(self.robust, bool | np.bool_)):
             raise MagycError(
                 f"robust: {self.robust!r} is neither True nor False; this method has one rejection of its own, the "
                 "kernels of magyc_gtsam.factors.KERNELS are for graphs"
@@ -103,8 +103,8 @@ class SmootherOptions:
             _number("turn", self.turn, 0.0, np.pi, "rad")
         if self.delay is not None:
             _number("delay", self.delay, -1.0, 1.0, "s")
-        if isinstance(self.misalignment, bool) or self.misalignment not in ("auto", 0):
-            _number("misalignment", self.misalignment, 0.0, MOST_SKEW, "rad, or 'auto'")
+        if not (isinstance(self.misalignment, str) and self.misalignment == "auto"):
+            _number("misalignment", self.misalignment, -1e-15, MOST_SKEW, "rad, or 'auto'")
         _number("gyroscope_scale", self.gyroscope_scale, -1e-15, MOST_SCALE, "")
         _number("hard_iron_walk", self.hard_iron_walk, -1e-15, 1.0, "T")
         _number("soft_iron_walk", self.soft_iron_walk, -1e-15, 10.0, "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.simulation.effects import electronics, field, foreign, gyroscope, iron, reading
@@ -29,7 +29,7 @@ def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Reques
     Raises:
         MagycError: an unknown name, a name given twice, or a factor that is not positive.
     """
-    if isinstance(effects, str):
+    if isinstance(effects, str) or not isinstance(effects, Iterable):
         raise MagycError(f"effects: a list of names is needed, got {effects!r}; give [{effects!r}]")
     result: list[RequestedEffect] = []
     for item in effects:
