@@ -25,9 +25,10 @@ from commands import COMMAND, Finished, installed, run
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
-from magyc_gtsam.cli.options import spelled
-from magyc_gtsam.cli.reading import Reading, parse_axes, parse_pairs
+from magyc_gtsam.cli.reading import Reading, parse_pairs
 from magyc_gtsam.io import write_mcap
+from magyc_gtsam.option_names import as_options
+from magyc_gtsam.recording.axes import parse_axes
 from magyc_gtsam.simulation import simulate
 
 DATASETS = Path(__file__).parents[1] / "datasets"
@@ -586,10 +587,10 @@ def test_parts_of_the_arguments(logs: Path) -> None:
     assert parse_pairs("--option", ["a=1", "b-c=[1, 2]", "d=x=y"]) == {"a": 1, "b_c": [1, 2], "d": "x=y"}
     with pytest.raises(mg.MagycError, match="expected key=value"):
         parse_pairs("--option", ["a"])
-    assert spelled("name one (magnetic_field=) or end=3.5 (stamps='log')") == (
+    assert as_options("name one (magnetic_field=) or end=3.5 (stamps='log')") == (
         "name one (--magnetic-field) or --end 3.5 (--stamps 'log')"
     )
-    assert spelled("give the rate in Hz (rate=)") == "give the rate in Hz (--read rate=)"
+    assert as_options("give the rate in Hz (rate=)") == "give the rate in Hz (--read rate=)"
     mean = Reading(logs / "dive.mcap", angular_rate_is="interval-mean").recording()
     assert mean.angular_rate_is == "interval-mean"
     mirrored = Reading(logs / "dive.mcap", gyroscope_axes="-x,y,z").recording()

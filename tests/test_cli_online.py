@@ -390,7 +390,7 @@ def test_a_wrong_unit_and_a_state_of_another_method(
 ) -> None:
     finished = installed("online", "-", cwd=tmp_path, stdin="\n".join(json_lines(simulation.recording, 50)))
     assert finished.returncode == 2
-    assert "say the unit (--magnetic-unit)" in finished.stderr
+    assert "read it in its unit (--magnetic-unit)" in finished.stderr
     mg.OnlineCalibrator("magyc-ifg", window=0.5).save(tmp_path / "ifg.state")
     code, errors = inside(log, "--state", "ifg.state", "--method", "smoother")
     assert code == 2

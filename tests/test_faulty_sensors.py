@@ -323,7 +323,7 @@ def test_a_unit_taken_for_another(wide: Simulation) -> None:
     calibration = mg.calibrate(wrong)
     assert not calibration.trusted
     assert "µT strong, the Earth's is 20 to 70" in calibration.message
-    assert "--magnetic-unit" in calibration.message
+    assert "magnetic_unit=" in calibration.message
 
 
 def test_a_sample_of_no_magnetometer(wide: Simulation) -> None:

@@ -49,7 +49,7 @@ def test_the_attached_magnet_is_the_cause_that_is_named(shared_data: Path) -> No
     assert [round(jump.time) for jump in field_jumps(recording)] == [38, 95]
     failed = mg.Calibration(np.eye(3), np.zeros(3), converged=False, message="too little motion (…): hard iron")
     verdict = judged(failed, recording)
-    assert verdict.reason.startswith("the field jumped at 38 s and 95 s: run `magyc-gtsam gap`, or ")
+    assert verdict.reason.startswith("the field jumped at 38 s and 95 s: run `mg.find_gap`, or ")
     assert len(verdict.reason.split()) <= MOST_WORDS
 
 
@@ -57,9 +57,9 @@ def test_the_attached_magnet_is_the_cause_that_is_named(shared_data: Path) -> No
     "message",
     [
         "the model leaves 12.3 µT unexplained (at most 10% of the field): the field or the instrument changed during "
-        "the recording; choose an interval (--start, --end); 76% of the recording is disturbed, at most 50%",
+        "the recording; choose an interval (start=, end=); 76% of the recording is disturbed, at most 50%",
         "two calibrations explain the data almost equally well (the other hard iron is -9.5, 9.0, 1.1 µT): record more "
-        "motion, or choose an undisturbed interval (--start, --end)",
+        "motion, or choose an undisturbed interval (start=, end=)",
         "no convergence within 81 iterations",
         "word " * 80,
         "",

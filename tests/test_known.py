@@ -170,7 +170,7 @@ def test_where_the_motion_is_too_little_the_cheapest_fact_is_named(earlier, stre
     assert "this motion is enough with " in alone.message
     told = calibrate(recording, prior=earlier, hard_iron_walk=ANYTHING, field=(strength, None))
     assert told.trusted, told.message
-    stated = float(alone.message.split("place and date (--prior, --location, --date: hard iron ±")[1].split()[0])
+    stated = float(alone.message.split("place and date (prior=, field=: hard iron ±")[1].split()[0])
     assert told.sigma["hard_iron"].max() * 1e6 == pytest.approx(stated, rel=0.5)
 
 
@@ -178,7 +178,7 @@ def test_the_first_line_of_the_verdict_names_it_beside_the_manoeuvre():
     recording = simulate("level", duration=60, seed=1).recording
     verdict = judged(calibrate(recording), recording)
     assert verdict.action.startswith("pitch or roll by 20° or more")
-    assert verdict.action.endswith("; or give --prior, --location, --date")
+    assert verdict.action.endswith("; or give prior=, field=")
     assert len(f"{verdict.cause} {verdict.action}".split()) <= 30
 
 
@@ -186,7 +186,7 @@ def test_with_an_earlier_calibration_of_known_scale_the_place_is_what_is_left(st
     wide = simulate("wide", seed=999).recording
     recording = simulate("level", duration=60, seed=3).recording
     place = (strength, None)
-    for scaled, remedy in ((True, "place and date (--location, --date: hard iron ±"), (False, "")):
+    for scaled, remedy in ((True, "place and date (field=: hard iron ±"), (False, "")):
         prior = calibrate(wide, misalignment=0, **({"field": place} if scaled else {}))
         walked = {"prior": prior, "hard_iron_walk": ANYTHING, "misalignment": 0}
         told = calibrate(recording, **walked, soft_iron_walk=0.02)

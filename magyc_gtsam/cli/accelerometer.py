@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import typer
-
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_configuration
-from magyc_gtsam.cli.terminal import concluded, noted, show, show_parameters, stages
+from magyc_gtsam.cli.terminal import concluded, noted, show, show_json, show_parameters, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.estimators.autocal.accelerometer import AccelerometerCalibration
@@ -102,12 +100,10 @@ def _show(folder: Path, log: Path, recording: Recording, calibration: Accelerome
 
 
 def _show_json(folder: Path, calibration: AccelerometerCalibration) -> None:
-    import json
-
     result = {
         "trusted": calibration.converged,
         "folder": str(folder),
         "files": {file.name: str(file) for file in sorted(folder.iterdir())},
         "calibration": calibration.to_dict(),
     }
-    typer.echo(json.dumps(result, indent=2))
+    show_json(result)

@@ -16,8 +16,7 @@ import typer
 from magyc_gtsam import __version__
 from magyc_gtsam.cli.failures import explained
 from magyc_gtsam.cli.interrupts import cause, interrupted
-from magyc_gtsam.cli.terminal import discard_output
-from magyc_gtsam.foreign_text import printable
+from magyc_gtsam.cli.terminal import complain, discard_output
 
 WRONG, UNREAD = 2, 141  # exit codes of wrong input, and of a closed output (SIGPIPE, as in shells)
 
@@ -109,10 +108,5 @@ def run(arguments: Sequence[str] | None = None) -> int:
             return interrupted(behind)
         if debug:
             raise
-        return _say(explained(error, words[0] if words[0] in COMMANDS else ""), WRONG)
-
-
-def _say(message: str, code: int) -> int:
-    """Print a message on standard error, in one line, and return the exit code."""
-    print("magyc-gtsam:", printable(" ".join(message.split())), file=sys.stderr)
-    return code
+        complain(explained(error, words[0] if words[0] in COMMANDS else ""))
+        return WRONG

@@ -20,7 +20,16 @@ from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading, parse_pairs
 from magyc_gtsam.cli.results import dated_folder, remove_exports
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import concluded, noted, show, show_calibration, show_details, show_page, stages
+from magyc_gtsam.cli.terminal import (
+    concluded,
+    noted,
+    show,
+    show_calibration,
+    show_details,
+    show_json,
+    show_page,
+    stages,
+)
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
@@ -191,8 +200,6 @@ def _configuration(calibration: Calibration) -> str:
 
 
 def _show_json(folder: Path, calibration: Calibration, verdict: Verdict) -> None:
-    import json
-
     files = {file.name: str(file) for file in sorted(folder.iterdir())}
     result = {
         "trusted": verdict.trusted,
@@ -201,4 +208,4 @@ def _show_json(folder: Path, calibration: Calibration, verdict: Verdict) -> None
         "files": files,
         "calibration": calibration.to_dict(),
     }
-    typer.echo(json.dumps(result, indent=2))
+    show_json(result)

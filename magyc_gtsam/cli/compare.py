@@ -12,11 +12,10 @@ from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.interrupts import noted_interrupts
-from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import noted, show, show_page, show_table, stages
+from magyc_gtsam.cli.terminal import complain, noted, show, show_json, show_page, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.study.outcome import Comparison
@@ -81,15 +80,15 @@ def run(
     if json:
         verdict = judged_comparison(comparison).to_dict()
         values = {"sentence": verdict["sentence"], "verdict": verdict, "folder": str(folder)}
-        typer.echo(_json(to_dict(comparison) | values), nl=False)
+        show_json(to_dict(comparison) | values)
     elif not quiet:
         _show(comparison, reading.log.name, folder)
     if comparison.interrupted or interrupts:
-        typer.echo(f"magyc-gtsam: interrupted; the methods that had finished are in {folder}", err=True)
+        complain(f"interrupted; the methods that had finished are in {folder}")
         return 130
     if comparison.trusted:
         return 0
-    typer.echo("magyc-gtsam: no method gave a trusted result; the table has the reasons", err=True)
+    complain("no method gave a trusted result; the table has the reasons")
     return 1
 
 
@@ -112,7 +111,7 @@ def _show(comparison: Comparison, name: str, folder: Path) -> None:
         "Uncertainties, soft iron, gyroscope bias and all reasons are on the page.",
         "",
     )
-    show(*(spelled(remark) for remark in words.remarks(comparison)))
+    show(*words.remarks(comparison))
     show(
         *noted(recording.notes),
         "",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from magyc_gtsam.cli.options import spelled
+from magyc_gtsam.option_names import as_options
 
 
 def explained(error: Exception, command: str = "") -> str:
@@ -21,7 +21,7 @@ def explained(error: Exception, command: str = "") -> str:
     from magyc_gtsam.factors.errors import MagycError
 
     if isinstance(error, MagycError):
-        return spelled(str(error))
+        return as_options(str(error))
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}; check the path, its permissions and the space left"

@@ -15,7 +15,17 @@ from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.many import many
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
-from magyc_gtsam.cli.terminal import Progress, concluded, noted, show, show_details, show_page, show_table, stages
+from magyc_gtsam.cli.terminal import (
+    Progress,
+    concluded,
+    noted,
+    show,
+    show_details,
+    show_json,
+    show_page,
+    show_table,
+    stages,
+)
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Gap
@@ -134,7 +144,7 @@ def run(
     if open_page:
         show_page(folder / "report.html")
     if json:
-        typer.echo(_json(_values(gap, validation, verdict) | {"folder": str(folder)}), nl=False)
+        show_json(_values(gap, validation, verdict) | {"folder": str(folder)})
     elif not quiet:
         show(verdict.sentence, f"{reading.log.name}: {recording.duration:.1f} s", "")
         show_details(verdict, verbose)
@@ -198,7 +208,7 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
     table = isolability(recording)
     if json:
-        typer.echo(_json({"motion": motion, "effects": json_types(table)}), nl=False)
+        show_json({"motion": motion, "effects": json_types(table)})
     elif not quiet:
         show(
             f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 1 µT, gyroscope 5 mrad/s per "

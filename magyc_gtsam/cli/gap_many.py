@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json as json_text
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import typer
 
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder
-from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
-from magyc_gtsam.foreign_text import printable
+from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_table, stages
 from magyc_gtsam.gap.effects import LABELS
 
 if TYPE_CHECKING:
@@ -74,12 +71,12 @@ def gap_of_logs(
     if open_page:
         show_page(folder / "report.html")
     if json:
-        typer.echo(json_text.dumps(gap.to_dict() | {"folder": str(folder)}, indent=2, ensure_ascii=False))
+        show_json(gap.to_dict() | {"folder": str(folder)})
     elif not quiet:
         _show(gap, folder)
     if gap.verdict in _GOOD:
         return 0
-    print(f"magyc-gtsam: the gap is left open: {printable(gap.sentence)}", file=sys.stderr)
+    complain(f"the gap is left open: {gap.sentence}")
     return 1
 
 

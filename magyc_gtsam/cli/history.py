@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, remove_exports, write_exports
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_table, stages
+from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_json, show_table, stages
 from magyc_gtsam.foreign_text import with_minus
 
 if TYPE_CHECKING:
@@ -96,7 +95,7 @@ def run(
         remove_exports(folder)  # those of an earlier run
     if json:
         told = _as_dict(history, folder) | {"next": following.to_dict(), "verdict": verdict.to_dict()}
-        typer.echo(json_text.dumps(told, indent=2))
+        show_json(told)
     elif not quiet:
         show(verdict.sentence, "")
         _show(history)

@@ -9,9 +9,9 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.options import spelled, without_effect
+from magyc_gtsam.cli.options import without_effect
 from magyc_gtsam.cli.reading import Reading
-from magyc_gtsam.cli.terminal import noted, show, show_table, stages
+from magyc_gtsam.cli.terminal import noted, show, show_json, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.io import LogInfo
@@ -60,7 +60,7 @@ def _show(described: LogInfo) -> None:
         show("", f"not used: {', '.join(unused)}")
     show("", *noted(described.warnings))
     if described.problem is not None:
-        show(f"can be read: no, {spelled(described.problem)}")
+        show(f"can be read: no, {described.problem}")
     elif described.turned is None:
         show("can be read: yes, without a gyroscope; `magyc-gtsam compare` runs the methods that need none")
     else:
@@ -69,12 +69,10 @@ def _show(described: LogInfo) -> None:
 
 
 def _show_json(described: LogInfo, recording: Recording | None) -> None:
-    import json
-
     from magyc_gtsam.report.strip import strip_of
 
     sources = [asdict(source) | {"rate": source.rate} for source in described.sources]
     result = asdict(described) | {"sources": sources, "readable": described.readable}
     if recording is not None:
         result["strip"] = strip_of(recording)
-    typer.echo(json.dumps(result, indent=2))
+    show_json(result)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import typer
 
 from magyc_gtsam import __version__
 from magyc_gtsam.cli.failures import explained
@@ -20,7 +17,7 @@ from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, shown, write_tab
 from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, remove_exports
-from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
+from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -146,7 +143,7 @@ def calibrate_logs(
     if open_page:
         show_page(folder / "index.html")
     if as_json:
-        typer.echo(json.dumps({"folder": str(folder), "logs": table}, indent=2))
+        show_json({"folder": str(folder), "logs": table})
     elif not quiet:
         show(headline(table)[1], "")
         show_table(*shown(table, short=True), words=(5,))
@@ -154,9 +151,9 @@ def calibrate_logs(
     code = max(row["exit_code"] for row in table)
     if code:
         bad = [row for row in table if row["exit_code"]]
-        typer.echo(f"magyc-gtsam: {len(bad)} of {len(table)} logs have no trusted calibration", err=True)
+        complain(f"{len(bad)} of {len(table)} logs have no trusted calibration")
         for row in bad:
-            typer.echo(f"magyc-gtsam: {row['log']}: {row['sentence']}", err=True)
+            complain(f"{row['log']}: {row['sentence']}")
     return int(code)
 
 

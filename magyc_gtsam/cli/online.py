@@ -10,7 +10,7 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.reading import parse_axes, parse_pairs, parse_unit
+from magyc_gtsam.cli.reading import parse_pairs, parse_unit
 from magyc_gtsam.cli.scale import Scale
 
 if TYPE_CHECKING:
@@ -98,6 +98,8 @@ def run(
         raise typer.BadParameter(f"must end in .yaml or .json, got {output}", param_hint="--output")
     if picture is not None and not json:
         raise given.without_effect("--picture", "--json")
+    from magyc_gtsam.recording.axes import parse_axes
+
     axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
     request = Request(
         sensors={"magnetic_field": magnetic_field, "angular_rate": angular_rate},

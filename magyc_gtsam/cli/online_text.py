@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from magyc_gtsam.live.health import StreamHealth
+from magyc_gtsam.option_names import as_options
 from magyc_gtsam.report.words import parameter_rows, uncertain
 
 if TYPE_CHECKING:
@@ -28,7 +29,15 @@ def line(online: OnlineCalibrator, source: LiveSource, health: StreamHealth) -> 
         parts.append(f"{len(online.changes)} change{'s' if len(online.changes) > 1 else ''}")
     parts.append(source.waiting_for if progress.time is None and source.waiting_for else progress.sentence)
     parts.append(health.sentence)
+    if progress.left_out:
+        parts.append(f"{progress.left_out} left out")
     return " | ".join(parts)
+
+
+def left_out_sentence(samples: int) -> list[str]:
+    """Return a line on the samples that were left out; none if there are none."""
+    why = "stamps that repeat, go back or leap, and values beyond what the sensors measure"
+    return [f"left out: {samples} samples ({why})"] if samples else []
 
 
 def hard_iron_text(calibration: Calibration) -> str:
@@ -78,7 +87,7 @@ def panel(online: OnlineCalibrator, source: LiveSource, health: StreamHealth, wr
     parts.append(Text(f"directions seen  {'█' * full}{'░' * (_BAR - full)} {progress.coverage:.0%}"))
     sentence = source.waiting_for if progress.time is None and source.waiting_for else progress.sentence
     style = "green" if progress.converged else "yellow"
-    parts.append(Text(sentence if progress.converged else f"not yet: {sentence}", style=style))
+    parts.append(Text(as_options(sentence if progress.converged else f"not yet: {sentence}"), style=style))
     parts += [Text(f"  weak: {weakness.sentence}") for weakness in progress.weak[:3]]
     parts += [Text(change_sentence(change, online), style="magenta") for change in online.changes[-3:]]
     parts.append(Text("Ctrl-C ends; nothing is lost", style="dim"))

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from magyc_gtsam.cli.online_session import EndReason, Session, judged_online
-from magyc_gtsam.cli.online_text import change_sentence, counted_from, first_stamp, line, panel
-from magyc_gtsam.cli.terminal import concluded, console, show, show_calibration
+from magyc_gtsam.cli.online_text import change_sentence, counted_from, first_stamp, left_out_sentence, line, panel
+from magyc_gtsam.cli.terminal import complain, concluded, console, show, show_calibration
 from magyc_gtsam.foreign_text import printable
 from magyc_gtsam.live.health import StreamMonitor
 from magyc_gtsam.live.picture import Picture
+from magyc_gtsam.option_names import as_options
 from magyc_gtsam.report.words import parameter_rows
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ class QuietView:
 
     def complain(self, text: str) -> None:
         """Print one line on standard error."""
-        typer.echo(f"magyc-gtsam: {printable(text)}", err=True)
+        complain(text)
 
     def conclude(self, session: Session) -> int:
         """Show the result and return the exit code.
@@ -113,6 +114,7 @@ class PlainView(QuietView):
         )
         if verdict.trusted:
             show_calibration(counted_from(calibration, first_stamp(self.online)))
+        show(*left_out_sentence(self.online.progress.left_out))
         show(*(change_sentence(change, self.online) for change in self.online.changes))
         show("", f"calibration: {session.output}")
         if session.state is not None:
@@ -181,19 +183,19 @@ class JsonView(QuietView):
         began = time.monotonic()
         if self._every is None or began < self._next:
             return
-        typer.echo(json.dumps(self._values()))
+        _write_line(self._values())
         ended = time.monotonic()
         self._next = ended + max(self._every, _PAUSE_FACTOR * (ended - began))
 
     def report(self) -> None:
         """Print the state as a line of JSON."""
-        typer.echo(json.dumps(self._values()))
+        _write_line(self._values())
 
     def conclude(self, session: Session) -> int:
         """Print the final line, and return the exit code of `QuietView.conclude`."""
         code = super().conclude(session)
         final = {"final": True, "end": str(session.end), "exit_code": code, "output": str(session.output)}
-        typer.echo(json.dumps(self._values() | final))
+        _write_line(self._values() | final)
         return code
 
     def _values(self) -> dict[str, Any]:
@@ -244,3 +246,8 @@ def view(
             yield live
         finally:
             live.stop()
+
+
+def _write_line(values: dict[str, Any]) -> None:
+    """Print one line of JSON at once."""
+    typer.echo(as_options(json.dumps(values)))

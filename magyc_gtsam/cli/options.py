@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
 from magyc_gtsam.cli.configuration import from_file
-
-# Arguments of `magyc_gtsam.read` as its messages name them.
-_ARGUMENT = re.compile(r"\b(magnetic_field|angular_rate|acceleration|attitude|stamps|start|end|prior)=(?=(\)?))")
-_TABLE_ARGUMENT = re.compile(r"(?<!--read )\b(time|time_unit|rate|columns)=")
 
 Log = Annotated[
     Path,
@@ -160,9 +155,3 @@ def needs_no_log(context: typer.Context, planned: Any) -> Any:
 def without_effect(option: str, needs: str) -> typer.BadParameter:
     """Return the error for an option that does nothing without another."""
     return typer.BadParameter(f"has no effect without {needs}; leave it out", param_hint=option)
-
-
-def spelled(message: str) -> str:
-    """Return a message of the library with arguments written as options of the command line."""
-    text = _ARGUMENT.sub(lambda m: f"--{m[1].replace('_', '-')}{'' if m[2] else ' '}", message)
-    return _TABLE_ARGUMENT.sub(r"--read \1=", text)

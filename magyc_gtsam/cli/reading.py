@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from magyc_gtsam.cli import options as given
 
 if TYPE_CHECKING:
-    from magyc_gtsam.recording import Array, Recording
+    from magyc_gtsam.recording import Recording
 
-_AXIS = re.compile(r"^(?:[xyz]\s*(?:←|<-|=)\s*)?([+−-]?)\s*([xyz])$")
 _EXPONENT = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)[eE][+-]?\d+$")
 # Numbers of YAML 1.2, in which 1e-9, without a decimal point, is a number.
 _YAML_1_2 = {"tag:yaml.org,2002:float": (_EXPONENT, list("+-.0123456789"))}
@@ -51,15 +50,12 @@ class Reading:
         from magyc_gtsam import MagycError, read
 
         arguments = self.arguments()
-        axes = None if self.gyroscope_axes is None else parse_axes(self.gyroscope_axes)
         recording: Recording = read(self.log, **arguments, progress=progress)
         if recording.magnetic_field_unit == "counts" and not counts:
             raise MagycError(
                 "--magnetic-unit counts: a calibration needs the field in tesla; give the tesla per count, or run "
                 "magyc-gtsam compare, which accepts counts"
             )
-        if axes is not None:
-            recording = _turned(recording, axes)
         return recording if self.angular_rate_is is None else _restated(recording, self.angular_rate_is)
 
     def arguments(self) -> dict[str, Any]:
@@ -71,7 +67,7 @@ class Reading:
         from magyc_gtsam.factors.errors import MagycError
 
         arguments = asdict(self)
-        for name in ("log", "angular_rate_is", "gyroscope_axes", "read"):  # not arguments of `read`
+        for name in ("log", "angular_rate_is", "read"):  # not arguments of `read`
             del arguments[name]
         for unit in ("magnetic_unit", "angular_unit", "acceleration_unit"):
             arguments[unit] = parse_unit(arguments[unit])
@@ -83,29 +79,6 @@ class Reading:
         """Return the log and the options that differ from the defaults, as JSON types."""
         changed = {k: v for k, v in asdict(self).items() if v != getattr(Reading, k, None)}
         return changed | {"log": str(self.log)}
-
-
-def parse_axes(text: str) -> Array:
-    """Return the matrix (3, 3) from the gyroscope's axes to the magnetometer's.
-
-    Args:
-        text: the gyroscope's signed axes along x, y, z: "y,-x,z" or "x ← y, y ← −x, z ← z".
-
-    Raises:
-        MagycError: the text does not name each axis once.
-    """
-    import numpy as np
-
-    from magyc_gtsam.factors.errors import MagycError
-
-    parts = [_AXIS.match(part.strip().lower()) for part in text.split(",")]
-    matches = [match for match in parts if match]
-    if len(parts) != 3 or sorted(match[2] for match in matches) != ["x", "y", "z"]:
-        raise MagycError(f"--gyroscope-axes: must name x, y and z once each, such as 'y,-x,z', got {text!r}")
-    matrix = np.zeros((3, 3))
-    for row, match in enumerate(matches):
-        matrix[row, "xyz".index(match[2])] = -1.0 if match[1] in ("-", "−") else 1.0
-    return matrix
 
 
 def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
@@ -143,26 +116,6 @@ def parse_unit(text: str | None) -> str | float | None:
         return None if text is None else float(text)
     except ValueError:
         return text
-
-
-def _turned(recording: Recording, axes: Array) -> Recording:
-    """Return the recording with gyroscope and accelerometer, which share a chip, in the magnetometer's axes."""
-    import numpy as np
-
-    rate, acceleration, notes = recording.angular_rate, recording.acceleration, recording.notes
-    if acceleration is not None and np.linalg.det(axes) < 0:
-        # A mirrored gyroscope has other signs than its accelerometer, whose signs are then unknown.
-        acceleration = None
-        notes = (
-            *notes,
-            "acceleration left out: --gyroscope-axes mirrors, and the accelerometer's axes are unknown",
-        )
-    return replace(
-        recording,
-        angular_rate=None if rate is None else rate @ axes.T,
-        acceleration=None if acceleration is None else acceleration @ axes.T,
-        notes=notes,
-    )
 
 
 def _restated(recording: Recording, angular_rate_is: Literal["instant", "interval-mean"]) -> Recording:

@@ -11,8 +11,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.foreign_text import printable, with_minus
+from magyc_gtsam.option_names import as_options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -81,16 +81,28 @@ def show(*sentences: str) -> None:
     if not sentences:
         return
     if not _on_a_terminal():
-        _write([printable(sentence) for sentence in sentences])
+        _write([_shown(sentence) for sentence in sentences])
         return
     output = console()
     for sentence in sentences:
-        output.print(printable(sentence), markup=False, highlight=False)
+        output.print(_shown(sentence), markup=False, highlight=False)
+
+
+def show_json(value: object) -> None:
+    """Print a value of JSON types on standard output, with the arguments in its texts as options."""
+    import json
+
+    _write([as_options(json.dumps(value, indent=2))])
+
+
+def _shown(text: str) -> str:
+    """Return a text of the library or of a file as it is shown."""
+    return printable(as_options(text))
 
 
 def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = ()) -> None:
     """Print a table, with the first column and those in `words` aligned left, and the others right."""
-    cells = [[printable(text) for text in (row[0], *map(with_minus, row[1:]))] for row in rows]
+    cells = [[_shown(text) for text in (row[0], *map(with_minus, row[1:]))] for row in rows]
     left = {0, *words}
     if not _on_a_terminal():
         _write(_aligned([list(header), *cells], left))
@@ -131,6 +143,18 @@ def _write(lines: Sequence[str]) -> None:
         print(*lines, sep="\n", flush=True)
     except BrokenPipeError:
         discard_output()
+    except OSError as error:  # as a full disk
+        raise OSError(error.errno, error.strerror, "standard output") from None
+
+
+def complain(text: str) -> None:
+    """Print one line on standard error; if that is closed or full, go on silently, since the exit code matters."""
+    if sys.stderr is None:
+        return
+    try:
+        print("magyc-gtsam:", " ".join(_shown(text).split()), file=sys.stderr, flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def discard_output() -> None:
@@ -150,7 +174,7 @@ def concluded(verdict: Verdict, shown: bool = False) -> int:
     if shown and sys.stdout.isatty() and sys.stderr.isatty():
         return 1
     called = f"{verdict.called[:1].lower()}{verdict.called[1:]}: " if verdict.called else ""
-    print(f"magyc-gtsam: the result must not be trusted: {printable(called + verdict.reason)}", file=sys.stderr)
+    complain(f"the result must not be trusted: {called + verdict.reason}")
     return 1
 
 
@@ -159,10 +183,7 @@ def refused(calibration: Calibration) -> int:
     from magyc_gtsam.report.verdict import judged
 
     reason = judged(calibration).reason
-    print(
-        f"magyc-gtsam: the result must not be trusted: {printable(reason)}; nothing was written, --force writes it",
-        file=sys.stderr,
-    )
+    complain(f"the result must not be trusted: {reason}; nothing was written, --force writes it")
     return 1
 
 
@@ -185,8 +206,8 @@ def show_calibration(calibration: Calibration) -> None:
 
 
 def noted(notes: Sequence[str]) -> list[str]:
-    """Return the notes on a log as lines, with arguments of the library named as options of the command line."""
-    return [f"note: {spelled(note)}" for note in notes]
+    """Return the notes on a log as lines."""
+    return [f"note: {note}" for note in notes]
 
 
 def show_page(page: Path) -> None:

@@ -59,7 +59,7 @@ def doubt_strength(strength: float) -> str:
         return ""
     return (
         f"the calibrated field is {strength * 1e6:.3g} µT strong, the Earth's is 20 to 70 ({low * 1e6:.3g} to "
-        f"{high * 1e6:.3g} is accepted): likely the unit is another (--magnetic-unit)"
+        f"{high * 1e6:.3g} is accepted): likely the unit is another (magnetic_unit=)"
     )
 
 

@@ -16,6 +16,7 @@ from magyc_gtsam.factors.lazy import attribute
 from magyc_gtsam.io.log_info import LogInfo, Source, turned
 from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.axes import in_magnetometer_axes, parse_axes
 from magyc_gtsam.storage.paths import expect_path
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def read(
     end: float | None = None,
     stamps: Literal["header", "log"] = "header",
     channels: Sequence[str] | None = None,
+    gyroscope_axes: str | None = None,
     progress: Callable[[float], None] | None = None,
     **options: Any,
 ) -> Recording:
@@ -83,6 +85,7 @@ def read(
         start, end: interval to keep, s since the first row.
         stamps: "header" (of the sensor) or "log" (of the recorder; MCAP only).
         channels: names of other data to read; None for all (MCAP, text) or the usual ones (other formats).
+        gyroscope_axes: the gyroscope's axes along the magnetometer's x, y, z, if the two differ, such as "y,-x,z".
         progress: called with the fraction done, 0 to 1.
         options: options of one format: `time`, `time_unit`, `rate`, `columns` of text tables, `log` of Blackbox.
 
@@ -109,8 +112,9 @@ def read(
         options=options,
     )
     file = expect_path("read", path)
+    axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
     recording: Recording = _reader(file).read(file, request)
-    return recording
+    return recording if axes is None else in_magnetometer_axes(recording, axes)
 
 
 def info(path: str | PathLike[str], **arguments: Any) -> LogInfo:

@@ -167,7 +167,7 @@ def copy_mcap(
         except (McapError, EOFError, struct.error, UnicodeDecodeError, Damage) as error:
             raise MagycError(
                 f"{source}: is damaged ({type(error).__name__}), and only a complete MCAP file can be copied; repair "
-                "it with `mcap recover`, or write a table (--output OUT.csv)"
+                "it with `mcap recover`, or write a table (a name that ends in .csv)"
             ) from None
         copy.writer.finish()
     if {sensor for sensor, _ in copy.sensors.values()} != set(replaced):
@@ -198,7 +198,7 @@ def _stamp_and_numbers(data: bytes) -> tuple[int, int]:
     if data[:2] != _CDR:
         raise MagycError(
             "a message of the magnetometer or gyroscope is not little-endian CDR and cannot be copied; write a table "
-            "(--output OUT.csv)"
+            "(a name that ends in .csv)"
         )
     seconds, nanoseconds, length = struct.unpack_from("<iII", data, 4)
     end = 4 + 12 + length

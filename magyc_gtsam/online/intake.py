@@ -156,8 +156,8 @@ def _within_limits(name: str, stamps: Array, value: Array, limit: float, first: 
         row = int(beyond.argmax())
         raise MagycError(
             f"{name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} "
-            f"{'T' if name == 'magnetic_field' else 'rad/s'}; convert it, or say the unit "
-            f"({'--magnetic-unit' if name == 'magnetic_field' else '--angular-unit'})"
+            f"{'T' if name == 'magnetic_field' else 'rad/s'}; convert it, or read it in its unit "
+            f"({'magnetic_unit' if name == 'magnetic_field' else 'angular_unit'}=)"
         )
     return when[~beyond], value[~beyond], refused + int(beyond.sum())
 

@@ -152,7 +152,7 @@ def check_field_unit(magnetic_field: Array) -> None:
     raise MagycError(
         f"magnetic_field: median norm {norm:.4g} is not a field in tesla "
         f"(the Earth's is 20e-6 to 70e-6, {low:g} to {high:g} is accepted){likely}; "
-        "convert it, or say the unit (--magnetic-unit)"
+        "convert it, or read it in its unit (magnetic_unit=)"
     )
 
 
@@ -163,7 +163,7 @@ def check_rate_unit(time: Array, angular_rate: Array) -> None:
         row = int(largest.argmax())
         raise MagycError(
             f"angular_rate: {largest[row]:.4g} at row {row} ({time[row]:.3f} s) is beyond {_RATE_LIMIT:g} rad/s; "
-            "likely unit: deg/s or mrad/s; convert it, or say the unit (--angular-unit)"
+            "likely unit: deg/s or mrad/s; convert it, or read it in its unit (angular_unit=)"
         )
 
 

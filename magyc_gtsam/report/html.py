@@ -10,6 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from magyc_gtsam.foreign_text import with_minus
+from magyc_gtsam.option_names import as_options
 from magyc_gtsam.recording import Recording
 
 _PACKAGE = "magyc_gtsam.report"
@@ -31,6 +32,7 @@ def rendered(template: str, recording: Recording | None = None, **values: Any) -
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
+        finalize=lambda value: as_options(value) if type(value) is str else value,
     )
     environment.filters |= {"minus": with_minus, "sentence": _sentence}
     style, script = (Markup("\n".join(map(_text, names))) for names in (_STYLES, _SCRIPTS))
@@ -38,8 +40,8 @@ def rendered(template: str, recording: Recording | None = None, **values: Any) -
 
 
 def _sentence(text: str) -> Markup:
-    """Return text as HTML with real minus signs, and text between backticks as code."""
-    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(with_minus(text)))))
+    """Return text as HTML with arguments as options, real minus signs, and text between backticks as code."""
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(with_minus(as_options(text))))))
 
 
 def _text(name: str) -> str:

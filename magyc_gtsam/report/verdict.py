@@ -15,7 +15,7 @@ from magyc_gtsam.heading_uncertainty import HeadingUncertainty
 from magyc_gtsam.recording import Recording
 
 _STILL = 5e-6  # T, sweep of the field below which the instrument did not move
-_INTERVAL = "choose an interval without it (--start, --end)"
+_INTERVAL = "choose an interval without it (start=, end=)"
 _MODEL_ERROR = "what the model does not explain"
 
 
@@ -125,7 +125,7 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
         if jumps:
             times = [f"{jump.time:.0f} s" for jump in jumps]
             listed = times[0] if len(times) == 1 else f"{', '.join(times[:-1])} and {times[-1]}"
-            return f"the field jumped at {listed}", f"run `magyc-gtsam gap`, or {_INTERVAL}"
+            return f"the field jumped at {listed}", f"run `mg.find_gap`, or {_INTERVAL}"
         swept = beyond_turning(recording)
         if swept is not None:
             size = f"the field changed by {swept * 1e6:.0f} µT, more than turning makes it"

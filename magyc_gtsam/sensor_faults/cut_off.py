@@ -56,7 +56,7 @@ class Clipped:
         """The message: `where`, the limit and the remedy."""
         return (
             f"{self.where}: at most {MOST:.0%} can be left out; raise the gyroscope's full scale, turn more "
-            "slowly, or choose an interval without it (--start, --end)"
+            "slowly, or choose an interval without it (start=, end=)"
         )
 
 

@@ -62,7 +62,7 @@ class ClippedField:
         """The message: `where`, the limit and the remedy."""
         return (
             f"{self.where}: at most {MOST:.1%} do no harm; choose a larger full scale, move what is magnetic away from "
-            "the sensor, or take the calibration of `magyc-gtsam gap`, where that can model it"
+            "the sensor, or take the calibration of `mg.find_gap`, where that can model it"
         )
 
 

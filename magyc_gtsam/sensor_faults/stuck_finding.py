@@ -49,10 +49,10 @@ class Stuck:
         """The message: `where`, the limit and the remedy."""
         spare = ""
         if self.sensor == "angular_rate":
-            spare = "; methods that need the magnetometer alone (--method autocal) do without it"
+            spare = "; methods that need the magnetometer alone (method='autocal') do without it"
         return (
             f"{self.where} (at most {MOST:.0%} can be left out): name another source ({self.sensor}=), choose an "
-            f"interval without it (--start, --end), or have the sensor repaired{spare}"
+            f"interval without it (start=, end=), or have the sensor repaired{spare}"
         )
 
 

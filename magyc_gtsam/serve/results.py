@@ -7,6 +7,7 @@ from typing import Any
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.option_names import as_options
 from magyc_gtsam.report import words
 from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.serve.live import CALIBRATION
@@ -40,7 +41,7 @@ def details(folder: Path, converged: bool | None) -> dict[str, Any]:
         try:
             calibration = Calibration.load(path)
         except MagycError as problem:
-            return shown | {"sentence": str(problem), "trusted": False}
+            return shown | {"sentence": as_options(str(problem)), "trusted": False}
         verdict = judged(calibration)
         rows = [[name, *values] for name, values in words.parameter_rows(calibration)]
         if path.name == CALIBRATION and converged:  # a live run writes no export files
@@ -49,8 +50,8 @@ def details(folder: Path, converged: bool | None) -> dict[str, Any]:
         shown |= {
             "rows": rows if verdict.trusted else [],
             "exports": exports if verdict.trusted else [],
-            "sentence": verdict.sentence,
+            "sentence": as_options(verdict.sentence),
             "trusted": verdict.trusted,
-            "details": verdict.details,
+            "details": list(map(as_options, verdict.details)),
         }
     return shown

@@ -214,8 +214,8 @@ def _check(samples: Array, gravity: float) -> None:
     if not low * gravity < norm < high * gravity:
         likely = "; likely unit: g" if low < norm < high else ""
         raise MagycError(
-            f"acceleration: median norm {norm:.4g} is not gravity in m/s² ({gravity:g}){likely}; convert it, or say "
-            "the unit (--acceleration-unit)"
+            f"acceleration: median norm {norm:.4g} is not gravity in m/s² ({gravity:g}){likely}; convert it, or read "
+            "it in its unit (acceleration_unit=)"
         )
     extent = np.linalg.svd(samples - samples.mean(axis=0), compute_uv=False) / np.sqrt(len(samples))
     if not extent[2] > 1e-3 * gravity:

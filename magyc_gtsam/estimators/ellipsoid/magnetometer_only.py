@@ -27,9 +27,7 @@ from magyc_gtsam.observability import HARD_IRON_LIMIT, assess
 from magyc_gtsam.recording import Array, Recording
 
 UNKNOWNS = 9  # six of the ellipsoid's shape, three of its centre
-REMEDY = (
-    "turn the sensor about more axes, leave disturbed stretches out (--start, --end), or choose another method"
-)
+REMEDY = "turn the sensor about more axes, leave disturbed stretches out (start=, end=), or choose another method"
 _FLATTEST = 1e-3  # ratio of thickness to width of the samples below which they lie in a plane
 _SINGULAR = 1e-12  # ratio of smallest to largest eigenvalue of the scaled information matrix
 _MOST_STRETCHED = 3.0  # largest ratio of longest to shortest axis of the ellipsoid
@@ -217,7 +215,7 @@ def _misfits(recording: Recording, unit: float, root: Array, sigma: float, off: 
         reasons.append(
             f"the ellipsoid leaves {sigma * shown:.1f} {name} unexplained (at most {_MOST_UNEXPLAINED:.0%} of the "
             "field is tolerated): the field or the instrument changed during the recording; choose an interval "
-            "(--start, --end)"
+            "(start=, end=)"
         )
     longest, _, shortest = np.linalg.svd(root, compute_uv=False)
     if longest > _MOST_STRETCHED * shortest:

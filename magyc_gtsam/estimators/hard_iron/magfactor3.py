@@ -110,7 +110,7 @@ def _with_attitude(recording: Recording, delay: float) -> tuple[Array, Rotation]
     if recording.attitude is None:
         raise MagycError(
             f"recording {recording.name!r} has no attitude, which magfactor3 needs; name its topic or columns "
-            "(--attitude), or choose another method"
+            "(attitude=), or choose another method"
         )
     known = recording.magnetic_field_fresh & np.isfinite(recording.attitude).all(axis=1)
     if known.sum() < _LEAST:

@@ -157,7 +157,7 @@ def to_calibration(
         reasons.append(
             f"without its hard iron the field still varies by {left * shown:.1f} {unit} (at most "
             f"{HARD_IRON_LIMIT:.0%} of it is tolerated): there is soft iron, or the field or the instrument changed "
-            "during the recording; choose a method with soft iron, or an interval (--start, --end)"
+            "during the recording; choose a method with soft iron, or an interval (start=, end=)"
         )
     scale = 1.0 if field_strength is None else strength / field_strength
     return Calibration(

@@ -152,7 +152,8 @@ def calibration_of(
     if spread > _MOST_UNEXPLAINED * strength:
         reasons.append(
             f"the strength of the calibrated field still varies by {spread / strength:.0%} (at most "
-            f"{_MOST_UNEXPLAINED:.0%} is tolerated): compare with --method smoother, which checks the sensors' axes"
+            f"{_MOST_UNEXPLAINED:.0%} is tolerated): compare with method='smoother', which "
+            "checks the sensors' axes"
         )
     if np.linalg.eigvalsh(soft_iron)[0] <= 0:
         reasons.append("the soft iron is not positive definite")

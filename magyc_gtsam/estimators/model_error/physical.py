@@ -221,7 +221,7 @@ PHYSICAL = (
     ),
     ColumnFamily(
         "gyroscope:scale",
-        "the gyroscope's scale is off by {}, which calibrate --gyroscope-scale estimates",
+        "the gyroscope's scale is off by {}, which calibrate estimates (gyroscope_scale=)",
         WindowMotion.gyroscope_scale,
         _OF_SCALE,
         prior=COMMON,
@@ -230,7 +230,7 @@ PHYSICAL = (
     ),
     ColumnFamily(
         "gyroscope:scales",
-        "the scales of the gyroscope's axes are off by {}, which calibrate --gyroscope-scale estimates",
+        "the scales of the gyroscope's axes are off by {}, which calibrate estimates (gyroscope_scale=)",
         WindowMotion.gyroscope_scales,
         _OF_SCALE,
         prior=GENERAL,

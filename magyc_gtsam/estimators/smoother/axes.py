@@ -59,7 +59,7 @@ class Arrangement(NamedTuple):
 
     @property
     def option(self) -> str:
-        """The axes in the form of `--gyroscope-axes`, e.g. "-y,x,z"."""
+        """The axes in the form of `gyroscope_axes`, e.g. "-y,x,z"."""
         return ",".join(part.partition(" ← ")[2] for part in self.axes.split(", ")).replace("−", "-")
 
 
@@ -131,11 +131,11 @@ def check(recording: Recording) -> None:
     if best.unit:
         raise MagycError(
             f"angular_rate: as given it explains {as_given} of the field's changes, read as {best.unit} "
-            f"{otherwise}; convert it, or give its unit (--angular-unit={best.unit})"
+            f"{otherwise}; convert it, or read it in its unit (angular_unit='{best.unit}')"
         )
     raise MagycError(
         f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains {as_given} of the "
-        f"field's changes, with {best.axes} {otherwise}; bring both to one frame (--gyroscope-axes={best.option})"
+        f"field's changes, with {best.axes} {otherwise}; bring both to one frame (gyroscope_axes='{best.option}')"
     )
 
 

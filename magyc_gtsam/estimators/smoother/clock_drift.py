@@ -66,7 +66,7 @@ class Drift(NamedTuple):
         if not self.harms:
             return f"{what}: {delay}, which moves no parameter by more than {_LARGEST_SHIFT:g} sigma"
         taken_out = self.rate + self.known - self.rate * self.known
-        remedy = f"correct the stamps, or have them corrected (--option clock_drift={taken_out:.4g})"
+        remedy = f"correct the stamps, or have them corrected (clock_drift={taken_out:.4g})"
         return f"{what}: {remedy}; {delay}, which moves a parameter by {self.moved:.2g} sigma"
 
 

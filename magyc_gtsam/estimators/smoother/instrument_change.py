@@ -64,7 +64,7 @@ def instrument_change(
     moved = np.linalg.norm(part.hard_iron - whole.hard_iron) * shown
     return (
         f"the instrument is another one between {first:.0f} and {last:.0f} s (its hard iron by {moved:.2g} {unit}): a "
-        "sensor that was remounted, or a log of another one? Choose an interval (--start, --end)"
+        "sensor that was remounted, or a log of another one? Choose an interval (start=, end=)"
     )
 
 

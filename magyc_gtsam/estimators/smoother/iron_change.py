@@ -63,7 +63,7 @@ class IronChange(NamedTuple):
         shown, unit = recording.field_shown
         return (
             f"the hard iron changed at {listed} by {np.linalg.norm(self.change) * shown:.2g} {unit}: choose an "
-            "interval without the change (--start, --end), or run `magyc-gtsam gap`"
+            "interval without the change (start=, end=), or run `mg.find_gap`"
         )
 
 

@@ -198,13 +198,13 @@ def remedies(
     matrix, place = typical_matrix(parameters), StrengthFact(strength, FIELD_SIGMA)
     dip = () if dip_of(fit) is not None else known_dip(recording, fit)
     ways: tuple[tuple[str, str, tuple[Fact, ...]], ...] = (
-        ("place and date", "--location, --date", dip),
-        ("an earlier calibration of the instrument", "--prior", (matrix,)),
-        ("an earlier calibration, place and date", "--prior, --location, --date", (matrix, place)),
+        ("place and date", "field=", dip),
+        ("an earlier calibration of the instrument", "prior=", (matrix,)),
+        ("an earlier calibration, place and date", "prior=, field=", (matrix, place)),
     )
     if options.prior is not None:  # with the prior's scale known, the field strength is informative
         known = options.place is not None or not _scaled(options.prior)
-        ways = () if known else (("place and date", "--location, --date", (place, *dip)),)
+        ways = () if known else (("place and date", "field=", (place, *dip)),)
     facts_given = tuple(fact for fact in fit.chain.facts if not on_skew(fact))
     given = quadratic(facts_given, fit.state.parameters)[2]
     every = quadratic(fit.chain.facts, fit.state.parameters)[2]

@@ -207,7 +207,7 @@ def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
     if np.linalg.norm(angle) > prior.most:
         return (
             f"the field varies along the way: it would take chips that are {size:.1f}° misaligned, and boards are "
-            f"within {most:.0f}°; {remedy}, or say that they are (misalignment={np.ceil(size):.0f}°)"
+            f"within {most:.0f}°; {remedy}, or say that they are (misalignment=np.radians({np.ceil(size):.0f}))"
         )
     count = len(fit.chain.windows)
     if count < _LEAST_SPLIT:

@@ -234,7 +234,7 @@ def _jumped(fit: Fit, recording: Recording) -> list[str]:
     if not jumps:
         return []
     named = " and ".join(f"at {jump.time:.0f} s by {jump.size * 1e6:.0f} µT" for jump in jumps)
-    return [f"the field jumped {named}: calibrate a stretch between (--start, --end), or run `gap`"]
+    return [f"the field jumped {named}: calibrate a stretch between (start=, end=), or run `mg.find_gap`"]
 
 
 def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: Observability) -> list[str]:
@@ -248,7 +248,7 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
         misfit = "only a soft iron that mirrors the field fits, which no instrument has"
     if misfit:
         reasons.append(
-            f"{misfit}: the field or the instrument changed during the recording; choose an interval (--start, --end)"
+            f"{misfit}: the field or the instrument changed during the recording; choose an interval (start=, end=)"
         )
     trusted = float(fit.weights.window.mean())
     if trusted < _LEAST_TRUSTED:
@@ -267,7 +267,7 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
         reasons.append(
             f"two calibrations explain the data almost equally well (the other hard iron is "
             f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion, or choose "
-            "an undisturbed interval (--start, --end)"
+            "an undisturbed interval (start=, end=)"
         )
     if not fit.converged:
         reasons.append(f"no convergence within {fit.iterations} iterations")

@@ -10,7 +10,7 @@ from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Manoeuvre
 
 _LOG_MORE = "log current, temperature and depth"
-_WITHOUT = "choose an interval without the jumps (--start, --end)"
+_WITHOUT = "choose an interval without the jumps (start=, end=)"
 
 
 def with_doubt(gap: Gap, doubt: Doubt) -> Gap:

@@ -10,9 +10,7 @@ from magyc_gtsam.gap.result import Doubt
 
 CLOCK_DRIFT = "clock-drift"
 APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"
-APART_IN_BRIEF = Doubt(
-    "the clocks of the two sensors drift apart", "run `magyc-gtsam calibrate`, which follows the drift"
-)
+APART_IN_BRIEF = Doubt("the clocks of the two sensors drift apart", "run `mg.calibrate`, which follows the drift")
 
 
 def drift_apart(current: Refit) -> bool:
