@@ -201,11 +201,13 @@ def test_the_same_recording_is_not_counted_twice(tmp_path):
     earlier.save(tmp_path / "earlier.yaml")
     renamed = replace(first, name="copy")
     with pytest.raises(
-        MagycError, match="fitted to this recording, whose samples would count twice; leave the prior"
+        MagycError, match="fitted to samples of this recording, which would count twice; leave the prior"
     ):
         calibrate(renamed, prior=Calibration.load(tmp_path / "earlier.yaml"))
     with pytest.raises(MagycError, match="would count twice"):
         calibrate(first, prior=earlier.to_dict())  # as the command line gives it
+    with pytest.raises(MagycError, match="would count twice"):
+        calibrate(first.between(20, 50), prior=earlier)  # a part of it
     both = calibrate(second, prior=earlier)
     assert both.fitted_to == (earlier.fitted_to[0], calibrate(second).fitted_to[0])
     with pytest.raises(MagycError, match="would count twice"):

@@ -110,7 +110,7 @@ def run(
         logs = find_logs([reading.log, *(more or [])])
         return gap_of_logs(reading, logs, names, output, open_page, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
-    from magyc_gtsam.recording.fingerprint import same_samples
+    from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
     from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
 
     start = None if calibration is None else Calibration.load(calibration)
@@ -120,10 +120,8 @@ def run(
         # Read before the search, which takes long, so that errors appear at once.
         other = None if simulated is None else _beside("--simulated", simulated, reading, stage)
         held_out = None if validate is None else _beside("--validate", validate, reading, stage)
-        if held_out is not None and same_samples(held_out, recording):
-            raise MagycError(
-                f"--validate: {validate} holds the samples of LOG, which prove nothing; give another log"
-            )
+        if held_out is not None and first_shared(fingerprint(held_out), [fingerprint(recording)]) is not None:
+            raise MagycError(f"--validate: {validate} holds samples of LOG, which prove nothing; give another log")
         gap = find_gap(
             recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
         )

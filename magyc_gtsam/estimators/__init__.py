@@ -17,7 +17,7 @@ from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.kept_memory import keep_freed_memory
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
-from magyc_gtsam.recording.fingerprint import fingerprint
+from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _METHODS = {
@@ -193,10 +193,10 @@ def calibrate(
     if isinstance(earlier, Mapping):
         earlier = given["prior"] = Calibration.from_dict(earlier)
     before = earlier.fitted_to if isinstance(earlier, Calibration) else ()
-    if own in before:
+    if first_shared(own, before) is not None:
         raise MagycError(
-            "prior: it was fitted to this recording, whose samples would count twice; leave the prior out, or give one "
-            "from other recordings"
+            "prior: it was fitted to samples of this recording, which would count twice; leave the prior out, or give "
+            "one from other recordings"
         )
     usable = without_faults(recording, ("magnetic_field", *entry.needs))
     try:

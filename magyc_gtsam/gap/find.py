@@ -37,7 +37,7 @@ from magyc_gtsam.gap.simulated import SimulatedGap, compare
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
-from magyc_gtsam.recording.fingerprint import fingerprint
+from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
@@ -171,10 +171,14 @@ def _gap_and_named(
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
 
 
-def _check_types(recording: object, calibration: object, simulated: object) -> None:
+def _check_types(recording: Recording, calibration: object, simulated: Recording | None) -> None:
     expect_recording("mg.find_gap", recording)
     if simulated is not None:
         expect_recording("simulated", simulated)
+        if first_shared(fingerprint(simulated), [fingerprint(recording)]) is not None:
+            raise MagycError(
+                "simulated: it holds samples of the recording, which prove nothing; give a simulation"
+            )
     if calibration is not None and not isinstance(calibration, Calibration):
         raise MagycError(
             f"calibration: a Calibration is needed, got {type(calibration).__name__}; mg.Calibration.load gives one"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from magyc_gtsam.history.log_factor import LogFactor
+from magyc_gtsam.recording.fingerprint import first_shared
 
 
 def counted_once(factors: Sequence[LogFactor], before: Sequence[LogFactor]) -> list[LogFactor]:
@@ -21,18 +22,13 @@ def counted_once(factors: Sequence[LogFactor], before: Sequence[LogFactor]) -> l
 
 
 def same_samples(factor: LogFactor, others: Sequence[LogFactor]) -> LogFactor | None:
-    """Return the first of other logs that counts the samples of a log; None if none does."""
-    keys = _keys(factor)
-    return next((other for other in others if keys & _keys(other)), None)
-
-
-def _keys(factor: LogFactor) -> set[str | bytes]:
-    """Return what identifies the samples that a log counts.
-
-    That is their fingerprint, and the numbers fitted to them, since histories of earlier versions have no other. A log
-    without a calibration counts none.
-    """
-    if factor.mean is None:
-        return set()
-    fitted: set[str | bytes] = {factor.mean.tobytes()}
-    return fitted | {factor.samples} if factor.samples else fitted
+    """Return the first of other logs that counts samples of a log; None if none does."""
+    if factor.mean is None:  # a log without a calibration counts none
+        return None
+    fitted = factor.mean.tobytes()  # histories of earlier versions have no fingerprints
+    for other in others:
+        if other.mean is not None:
+            shared = first_shared(factor.samples, [other.samples]) is not None
+            if shared or other.mean.tobytes() == fitted:
+                return other
+    return None

@@ -1,25 +1,72 @@
-"""The identity of a recording by its samples, so that no estimate counts the same samples twice."""
+"""The identity of a recording by its samples, so that no estimate counts the same samples twice.
+
+A fingerprint holds the smallest hashes of all runs of eight magnetometer samples. Those of two recordings that share
+samples share hashes, in the share of the samples that both have of all that either has (Broder 1997), under any name,
+with any clock and for any interval of a log.
+"""
 
 from __future__ import annotations
 
-from hashlib import sha256
+import base64
+import binascii
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magyc_gtsam.recording.recording import Recording
 
-_DIGITS = 16  # hexadecimal, 64 bits: two of a million logs agree by chance with a probability of 3·10⁻⁸
+Hashes = NDArray[np.uint64]
+
+_KEPT = 64  # hashes; of two recordings that share a tenth of their samples, one in fifty shares less than `_LEAST`
+_LEAST = 2  # shared hashes; one may be chance
+_BYTES = 6  # of each hash
+_RUN = 8  # samples; shorter runs of coarse readings at rest recur in other logs
+_FACTORS = np.random.PCG64(0).random_raw(_RUN) | np.uint64(1)
 
 
 def fingerprint(recording: Recording) -> str:
-    """Return a checksum of the magnetometer's samples, the same under any name and with any clock."""
-    return sha256(recording.magnetic_field.tobytes()).hexdigest()[:_DIGITS]
+    """Return the fingerprint of the magnetometer's samples, as text."""
+    rows = _mixed(np.ascontiguousarray(recording.magnetometer.value).view(np.uint64).T)
+    count = max(len(rows) - _RUN + 1, 1)
+    runs = _mixed([rows[k : k + count] for k in range(min(len(rows), _RUN))]) >> np.uint64(64 - 8 * _BYTES)
+    few = 2 * _KEPT  # more than are kept, since some may be equal
+    smallest = np.unique(runs if len(runs) <= few else np.partition(runs, few)[:few])[:_KEPT]
+    return base64.b64encode(smallest.astype(">u8").view(np.uint8).reshape(-1, 8)[:, -_BYTES:].tobytes()).decode()
 
 
-def same_samples(one: Recording, other: Recording) -> bool:
-    """Return whether more than half of the magnetometer's samples of the shorter recording are in the other."""
-    vector = np.dtype([(axis, np.float64) for axis in "xyz"])
-    first, second = (
-        np.unique(np.ascontiguousarray(each.magnetic_field).view(vector).ravel()) for each in (one, other)
-    )
-    return 2 * len(np.intersect1d(first, second, assume_unique=True)) > min(len(first), len(second))
+def first_shared(own: str, others: Iterable[str]) -> str | None:
+    """Return the first of other fingerprints that shares a tenth of its samples or more with `own`; None if none does.
+
+    A fingerprint of an earlier version, which cannot be compared, shares none.
+    """
+    mine = _hashes(own)
+    for other in others:
+        theirs = _hashes(other)
+        smallest = np.union1d(mine, theirs)[:_KEPT]
+        shared = np.isin(smallest, mine) & np.isin(smallest, theirs)
+        if shared.sum() >= min(_LEAST, len(smallest)) > 0:
+            return other
+    return None
+
+
+def _mixed(parts: Iterable[Hashes]) -> Hashes:
+    """Return one hash (n,) of several arrays (n,)."""
+    total = np.uint64(0)
+    for factor, part in zip(_FACTORS, parts, strict=False):
+        mixed = (part ^ (part >> np.uint64(32))) * factor
+        total = (total ^ (total >> np.uint64(29))) * factor + (mixed ^ (mixed >> np.uint64(31)))
+    return np.asarray(total ^ (total >> np.uint64(32)))
+
+
+def _hashes(text: str) -> Hashes:
+    """Return the hashes of a fingerprint, ascending; none for a text that is none."""
+    try:
+        data = np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
+    except (binascii.Error, ValueError):
+        return np.empty(0, np.uint64)
+    if len(data) % _BYTES or len(data) < 2 * _BYTES:
+        return np.empty(0, np.uint64)
+    whole = np.zeros((len(data) // _BYTES, 8), np.uint8)
+    whole[:, -_BYTES:] = data.reshape(-1, _BYTES)
+    return whole.view(">u8").ravel().astype(np.uint64)

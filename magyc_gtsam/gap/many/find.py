@@ -23,7 +23,7 @@ from magyc_gtsam.gap.outcome.verdict import missing
 from magyc_gtsam.gap.scores.generic import families
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
-from magyc_gtsam.recording.fingerprint import fingerprint
+from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
 
 Progress = Callable[[float], None]
 
@@ -73,7 +73,7 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         raise MagycError("mg.find_gap: no recordings; give those of one instrument")
     logs: list[OneLog] = []
     own: list[LogLeftOut] = []
-    known: dict[str, str] = {}  # a copy of a log would count twice
+    known: dict[str, str] = {}  # fingerprint → name
     for k in range(len(recordings)):
         called = f"log {k + 1}"
         try:
@@ -85,10 +85,12 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         called = recording.name or called
         if called in (log.name for log in logs):
             called = f"{called} ({k + 1})"
-        first = known.setdefault(fingerprint(recording), called)
-        if first != called:
-            own.append(LogLeftOut(called, f"the same samples as {first}, which count once"))
+        samples = fingerprint(recording)
+        first = first_shared(samples, known)
+        if first is not None:
+            own.append(LogLeftOut(called, f"the same samples as {known[first]}, which count once"))
             continue
+        known[samples] = called
         try:
             logs.append(OneLog.of(recording, names, called))
         except MagycError as problem:

@@ -1,0 +1,44 @@
+"""Recordings that share samples share fingerprints; others do not, also where readings are coarse and at rest."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
+
+
+def shares(one: mg.Recording, other: mg.Recording) -> bool:
+    return first_shared(fingerprint(one), ["", "0123456789abcdef", fingerprint(other)]) is not None
+
+
+def test_parts_copies_and_merged_rows_are_recognised() -> None:
+    whole = mg.simulate("wide", seed=1).recording
+    merged = mg.Recording.from_streams(whole.magnetometer, (whole.time + 0.03, whole.angular_rate))
+    for part in (
+        whole.between(400, 520),
+        whole.between(0, 150),
+        merged,
+        mg.Recording(whole.time + 99, whole.magnetic_field),
+    ):
+        assert shares(part, whole)
+    assert not shares(whole.between(0, 290), whole.between(300, 600))
+    assert not any(shares(mg.simulate("wide", seed=seed).recording, whole) for seed in range(2, 12))
+
+
+def test_coarse_readings_at_rest_are_not_taken_for_each_other() -> None:
+    random, time = np.random.default_rng(0), np.arange(3000) / 50
+    rests = []
+    for _ in range(10):
+        field = np.array([20.0, 5.0, 40.0]) + random.normal(0, 0.1, (3000, 3))
+        rests.append(mg.Recording(time, np.round(field / 0.15) * 0.15e-6))
+    assert not any(shares(*pair) for pair in pairwise(rests))
+
+
+def test_no_simulation_of_the_recording_itself() -> None:
+    recording = mg.simulate("wide", 60, seed=1).recording
+    with pytest.raises(mg.MagycError, match="simulated: it holds samples of the recording"):
+        mg.find_gap(recording, simulated=recording.between(0, 40))
