@@ -9,7 +9,9 @@ import gtsam
 
 from magyc_gtsam.factors.admission import Optimize
 from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.solver import View, predicted_decrease
+from magyc_gtsam.factors.variables import key_name
 from magyc_gtsam.factors.warm_up import narrow, robust_blocks
 
 # Decrease of the error (half squared sigmas) that is not worth another round: a tenth of a sigma.
@@ -28,6 +30,16 @@ class BatchSolution(NamedTuple):
     values: gtsam.Values
     settled: bool
     replaced: int
+
+
+def expect_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+    """Raise an error unless every variable of a graph has a value."""
+    absent = [key_name(key) for key in graph.keyVector() if not values.exists(key)]
+    if absent:
+        raise MagycError(
+            f"native factors: no value for {', '.join(absent[:5])}{' and others' if len(absent) > 5 else ''}; insert "
+            "one for each variable of the graph"
+        )
 
 
 def solve_batch(

@@ -15,6 +15,7 @@ space (`Unit3` has 2 columns instead of 3, `imuBias.ConstantBias` 6 instead of 3
 from __future__ import annotations
 
 import math
+import operator
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_positive, real_array
 from magyc_gtsam.factors.variables import Array, Variable, key_name, reader
 
 Residual = tuple[Array, Sequence[Array]]
@@ -65,7 +67,7 @@ def custom_factor(
             missing or of another type, or a shape is wrong.
         NonFiniteError: later, if a variable, the residual or a Jacobian is not finite.
     """
-    keys = [int(key) for key in keys]
+    keys = [_index(name, key) for key in keys]
     if len(keys) != len(variables) or len(set(keys)) != len(keys):
         raise MagycError(
             f"{name}: {len(variables)} different keys are needed, got {', '.join(map(key_name, keys)) or 'none'}"
@@ -115,6 +117,21 @@ def factor_details(factor: gtsam.NonlinearFactor) -> Any:
     return _asked.answer
 
 
+def _index(name: str, key: Any) -> int:
+    """Return a key as an integer.
+
+    Raises:
+        MagycError: it is no key: text, a fraction, or negative.
+    """
+    try:
+        index = operator.index(key)
+    except TypeError:
+        index = -1
+    if index < 0 or isinstance(key, bool):
+        raise MagycError(f"{name}: {key!r:.40} is not a key; give one as gtsam.symbol_shorthand makes them, X(0)")
+    return index
+
+
 def noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
     """Return a GTSAM noise model of `rows` rows, from a model of that dimension or from one standard deviation."""
     if isinstance(noise, gtsam.noiseModel.Base):
@@ -126,8 +143,8 @@ def noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
 
 def standard_deviation(sigma: float) -> float:
     """Return `sigma` after checking that it is finite and above 0."""
-    if not (np.isfinite(sigma) and sigma > 0):
-        raise MagycError(f"standard deviation {sigma} of a residual; it must be finite and above 0")
+    if not is_positive(sigma):
+        raise MagycError(f"standard deviation {sigma!r:.40} of a residual; it must be finite and above 0")
     return float(sigma)
 
 
@@ -137,7 +154,10 @@ def measured(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
     Raises:
         MagycError: wrong shape, or values that are not finite.
     """
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = real_array(value, copy=True)
+    except (TypeError, ValueError) as error:
+        raise MagycError(f"{name}: not an array of numbers ({error})") from None
     if array.ndim != len(shape) or any(s not in (None, n) for s, n in zip(shape, array.shape, strict=True)):
         text = ", ".join("n" if s is None else str(s) for s in shape)
         raise MagycError(f"{name}: shape {array.shape}, expected ({text})")

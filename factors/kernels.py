@@ -16,6 +16,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_positive
 
 _SMALL = 1e-9  # lower bound of whitened norms in quotients
 
@@ -102,7 +103,7 @@ def tuning_constant(name: str, dimension: int, tuning: float | None = None) -> f
         if dimension not in constants:
             raise MagycError(f"kernel {name!r}: give `tuning` for residuals of dimension {dimension}")
         return constants[dimension]
-    if not (np.isfinite(tuning) and tuning > 0):
+    if not is_positive(tuning):
         raise MagycError(f"kernel {name!r}: tuning constant {tuning}; it must be finite and above 0")
     return float(tuning)
 

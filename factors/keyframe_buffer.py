@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.keyframe_field import KeyframeField
-from magyc_gtsam.factors.numbers import real_array
+from magyc_gtsam.factors.numbers import is_finite, real_array
 from magyc_gtsam.factors.pose import sensor_rotation
 from magyc_gtsam.factors.units import LIMITS, check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
@@ -27,13 +27,15 @@ class KeyframeBuffer:
         interval_mean: whether the rates are means since the previous stamp.
 
     Raises:
-        MagycError: a mounting that is no rotation.
+        MagycError: a mounting that is no rotation, or a delay that is no number.
     """
 
     def __init__(
         self, *, body_R_sensor: gtsam.Rot3 | None = None, delay: float = 0.0, interval_mean: bool = False
     ) -> None:
         sensor_rotation(body_R_sensor)  # refused here, before any sample is lost
+        if not is_finite(delay):
+            raise MagycError(f"keyframe buffer: delay {delay!r:.40}; it must be a finite number of s")
         self._mounting, self._delay, self._interval_mean = body_R_sensor, delay, interval_mean
         self._field_time: list[float] = []
         self._field: list[list[float]] = []

@@ -144,6 +144,8 @@ def keyframe_field_factor(
             f"{name}: `noise` is a noise model; give the standard deviation of a sample in T, a number, which the "
             "block whitens by itself (for outliers `robust`)"
         )
+    if not isinstance(block, KeyframeField):
+        raise MagycError(f"{name}: `block` is a {type(block).__name__}; give what KeyframeBuffer.close returns")
     if tuning is not None and robust is None:
         raise MagycError(f"{name}: `tuning` without `robust`; name the kernel")
     check_noise(name, standard_deviation(noise))

@@ -33,6 +33,7 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.preintegration import interruptions
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import measured
+from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.pose import sensor_rotation
 from magyc_gtsam.factors.units import check_rates, check_readings
@@ -112,6 +113,11 @@ class KeyframeField:
         b = measured("bias", bias, (3,))
         check_readings("keyframe field", field)
         check_rates("keyframe field", rate)
+        check_rates("keyframe field: bias", b)
+        if not is_finite(keyframe):
+            raise MagycError(
+                f"keyframe field: the keyframe at {keyframe!r:.40}; its time must be a finite number of s"
+            )
         if not len(when):
             raise MagycError("keyframe field: no magnetometer sample; close a block after the first one")
         start, end = min(keyframe, when.min()), max(keyframe, when.max())
@@ -119,7 +125,7 @@ class KeyframeField:
             covered = f"{time[0]:.3f} to {time[-1]:.3f} s" if len(time) else "nothing"
             raise MagycError(
                 f"keyframe field from {start:.3f} to {end:.3f} s needs ascending gyroscope samples across it, "
-                f"got {covered}"
+                f"got {covered}; add the gyroscope's samples up to the one after the keyframe first"
             )
         near = _without_pause(keyframe, when, time)
         when, field = when[near], field[near]

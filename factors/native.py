@@ -22,12 +22,13 @@ import gtsam
 
 from magyc_gtsam.factors.admission import AdmissionControl, Optimize
 from magyc_gtsam.factors.alignment import AlignmentLimits
-from magyc_gtsam.factors.batch import minimum, solve_batch
+from magyc_gtsam.factors.batch import expect_values, minimum, solve_batch
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
 from magyc_gtsam.factors.staleness import Staleness
@@ -71,8 +72,8 @@ class NativeFactors:
         alignment: AlignmentLimits | None = AlignmentLimits(),  # noqa: B008 (frozen)
         health: HealthLimits | None = HealthLimits(),  # noqa: B008 (frozen)
     ) -> None:
-        if not (tolerance > 0 and growth > 1):
-            raise MagycError(f"native factors: tolerance {tolerance} must be above 0, growth {growth} above 1")
+        if not (is_positive(tolerance) and is_positive(growth) and growth > 1):
+            raise MagycError(f"native factors: tolerance {tolerance!r} must be above 0, growth {growth!r} above 1")
         if recent < 1:
             raise MagycError(f"native factors: recent {recent}; at least 1 block must be checked")
         self.tolerance, self.quadratic = tolerance, quadratic
@@ -184,7 +185,11 @@ class NativeFactors:
                 and of the odometry as known inliers.
             rounds: largest number of rounds of optimising and renewing.
             examine: whether to judge each block at the solution, for `health`; takes some milliseconds per block.
+
+        Raises:
+            MagycError: a variable of the graph has no value.
         """
+        expect_values(graph, values)
         new = sorted_factors(graph)
         fresh, own = new.fresh, gtsam.NonlinearFactorGraph(new.others)
         values = self._admission.start(own, values, fresh, optimize or minimum)

@@ -23,3 +23,13 @@ def real_array(value: Any, copy: bool = False) -> NDArray[np.float64]:
     if isinstance(value, np.ma.MaskedArray):
         return np.ascontiguousarray(np.ma.filled(value.astype(np.float64), np.nan))
     return np.array(value, dtype=np.float64, order="C", copy=copy or None)
+
+
+def is_finite(value: Any) -> bool:
+    """Return whether `value` is one finite real number, and no bool or text."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def is_positive(value: Any) -> bool:
+    """Return whether `value` is one finite real number above 0."""
+    return is_finite(value) and value > 0

@@ -23,6 +23,7 @@ from magyc_gtsam.factors.chain.rotations import exponential_matrices, skew
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.units import check_field, check_noise, check_rates, check_readings
 from magyc_gtsam.factors.variables import Array, Variable, attitude, direction, mounting, scalar, vector
 
@@ -65,8 +66,8 @@ def known_field(
 
 def check_unit(field_unit: float) -> None:
     """Raise an error for a unit that is not a positive number of T."""
-    if not (np.isfinite(field_unit) and field_unit > 0):
-        raise MagycError(f"field_unit {field_unit}; it must be finite and above 0 T")
+    if not is_positive(field_unit):
+        raise MagycError(f"field_unit {field_unit!r:.40}; it must be finite and above 0 T")
 
 
 def sensor_rotation(body_R_sensor: gtsam.Rot3 | None) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import measured
+from magyc_gtsam.factors.numbers import is_finite, is_positive
 from magyc_gtsam.factors.pose import MICROTESLA, check_unit
 from magyc_gtsam.factors.units import check_field, check_readings
 
@@ -49,7 +50,7 @@ def mounting_prior(
             about the vertical is equivalent to a rotation of the heading; only another source of heading separates
             the two.
     """
-    if not (np.isfinite(sigma) and sigma > 0):
+    if not is_positive(sigma):
         raise MagycError(f"mounting prior: standard deviation {sigma!r}; it must be finite and above 0 rad")
     rotation = gtsam.Rot3() if body_R_sensor is None else body_R_sensor
     return gtsam.PriorFactorRot3(mounting_key, rotation, gtsam.noiseModel.Isotropic.Sigma(3, sigma))
@@ -63,7 +64,7 @@ def delay_prior(delay_key: int, delay: float = 0.0, sigma: float = _HELD_DELAY) 
         delay: s by which the magnetometer lags.
         sigma: s; the default holds the delay.
     """
-    if not (np.isfinite(delay) and np.isfinite(sigma) and sigma > 0):
+    if not (is_finite(delay) and is_positive(sigma)):
         raise MagycError(
             f"delay prior: {delay!r} s with standard deviation {sigma!r}; both must be finite, sigma above 0"
         )

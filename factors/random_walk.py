@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.pose import MICROTESLA
 from magyc_gtsam.factors.units import check_readings
 from magyc_gtsam.factors.variables import Array
@@ -30,7 +31,9 @@ def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
         elapsed: s between the two nodes.
         sigma: change per √hour of each entry, one or six; 1e-3 is a tenth of a percent in an hour.
     """
-    return gtsam.BetweenFactorVector(first_key, second_key, np.zeros(6), _grown(sigma, 6, elapsed))
+    return gtsam.BetweenFactorVector(
+        first_key, second_key, np.zeros(6), _grown((first_key, second_key), sigma, 6, elapsed)
+    )
 
 
 def hard_iron_walk(
@@ -46,7 +49,10 @@ def hard_iron_walk(
     """
     check_readings("hard iron walk", sigma)
     return gtsam.BetweenFactorPoint3(
-        first_key, second_key, np.zeros(3), _grown(np.asarray(sigma, dtype=float) / field_unit, 3, elapsed)
+        first_key,
+        second_key,
+        np.zeros(3),
+        _grown((first_key, second_key), np.asarray(sigma, dtype=float) / field_unit, 3, elapsed),
     )
 
 
@@ -61,17 +67,23 @@ def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
         elapsed: s between the two nodes.
         sigma: rad/s per √hour, one or three.
     """
-    return gtsam.BetweenFactorPoint3(first_key, second_key, np.zeros(3), _grown(sigma, 3, elapsed))
+    return gtsam.BetweenFactorPoint3(
+        first_key, second_key, np.zeros(3), _grown((first_key, second_key), sigma, 3, elapsed)
+    )
 
 
-def _grown(sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:
+def _grown(keys: tuple[int, int], sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:
     """Return the noise model of a walk of `sigma` per √hour after `elapsed` s."""
+    if keys[0] == keys[1]:
+        raise MagycError(
+            "random walk: it joins two nodes, and both keys are the same; give the key of the next node"
+        )
     deviation: Array = np.broadcast_to(np.asarray(sigma, dtype=float), (size,)) * np.sqrt(
-        max(elapsed, 0.0) / _HOUR
+        (elapsed if is_positive(elapsed) else 0.0) / _HOUR
     )
     if not (np.isfinite(deviation).all() and (deviation > 0).all()):
         raise MagycError(
-            f"random walk of {np.asarray(sigma).tolist()} per √hour over {elapsed} s; both must be finite and above 0 "
-            "(a calibration that does not change needs one node, or a walk too small to matter)"
+            f"random walk of {np.asarray(sigma).tolist()} per √hour over {elapsed!r:.40} s; both must be finite "
+            "and above 0 (a calibration that does not change needs one node, or a walk too small to matter)"
         )
     return gtsam.noiseModel.Diagonal.Sigmas(deviation)

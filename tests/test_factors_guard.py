@@ -6,10 +6,15 @@ import pytest
 
 from magyc_gtsam.factors import (
     CompressedGyroDerivative,
+    KeyframeBuffer,
     MagycError,
+    NativeFactors,
     NonFiniteError,
     custom_factor,
+    delay_prior,
     gyro_derivative_factor,
+    hard_iron_walk,
+    keyframe_field_factor,
     norm_prior,
     preintegrate,
     robust_noise,
@@ -148,6 +153,20 @@ def test_details_are_found_in_a_graph():
 
 GOOD = np.ones((4, 3))
 KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
+WORLD = [20e-6, 0.0, 40e-6]  # T
+
+
+def filled_buffer():
+    buffer = KeyframeBuffer()
+    buffer.add_rate(np.arange(0, 2, 0.01), np.full((200, 3), 0.1))
+    buffer.add_field(np.arange(0, 2, 0.02), np.tile(WORLD, (100, 1)))
+    return buffer
+
+
+def block_alone():
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(keyframe_field_factor(*KEYS, filled_buffer().close(1.0), 1e-6, field=WORLD))
+    return graph
 
 
 @pytest.mark.parametrize(
@@ -170,6 +189,19 @@ KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
             lambda: gyro_derivative_factor(*KEYS, GOOD, GOOD, GOOD, 1.0, robust="l1", tuning=0),
             "tuning constant 0",
         ),
+        (lambda: sphere_factor(1.5, KEYS[1], KEYS[2], np.ones(3), 1.0), "sphere: 1.5 is not a key"),
+        (lambda: sphere_factor(*KEYS, ["x", 0, 0], 1.0), "measurement: not an array of numbers"),
+        (lambda: sphere_factor(*KEYS, np.ones(3), "x"), "standard deviation 'x'"),
+        (lambda: hard_iron_walk(KEYS[0], KEYS[0], 1.0, 1e-7), "both keys are the same"),
+        (lambda: hard_iron_walk(*KEYS[:2], "x", 1e-7), "over 'x' s"),
+        (lambda: delay_prior(KEYS[0], sigma="x"), "standard deviation 'x'"),
+        (lambda: KeyframeBuffer(delay=np.nan), "delay nan; it must be a finite number"),
+        (lambda: filled_buffer().close(2.5), "add the gyroscope's samples up to the one after the keyframe"),
+        (lambda: filled_buffer().close("x"), "the keyframe at 'x'"),
+        (lambda: filled_buffer().close(1.0, [100.0, 0, 0]), "bias: an angular rate of 100 rad/s"),
+        (lambda: keyframe_field_factor(*KEYS, None, 1e-6, field=WORLD), "`block` is a NoneType"),
+        (lambda: NativeFactors(tolerance="x"), "tolerance 'x' must be above 0"),
+        (lambda: NativeFactors().solve(block_alone(), gtsam.Values()), "no value for b0, d0, l0; insert one"),
         (lambda: CompressedGyroDerivative(np.ones((21, 21)), 1), "below the diagonal"),
         (lambda: CompressedGyroDerivative(np.ones((3, 21)), 1), r"shape \(3, 21\)"),
         (lambda: sphere_factor(*KEYS, np.ones(2), 1.0), "measurement: shape"),
