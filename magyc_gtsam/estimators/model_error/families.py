@@ -44,7 +44,7 @@ class ColumnFamily:
         most: largest physically plausible amplitude of a column: a share of the field strength; on the gyroscope rad/s,
             or a share of its rate. It bounds directions of the family that the motion does not observe.
         functions: number of functions, each of which gives one column per axis.
-        first: whether it belongs to the first test, which decides whether the others are tested.
+        stage: the test that it belongs to, 0 to 2; the gains in one decide whether the next is made (`model_error`).
         of_place: whether it is a variation of the ambient field.
         of_iron: whether it is a variation of the hard iron; its size then adds to the hard iron's sigma.
         unit: "field", "rate" (rad/s), "share", "angle" (rad), "time" (s) or "filter" (s²).
@@ -68,7 +68,7 @@ class ColumnFamily:
     columns: Callable[[WindowMotion], Columns]
     most: float
     functions: int = 1
-    first: bool = False
+    stage: int = 0
     of_place: bool = False
     of_iron: bool = False
     unit: str = "field"
@@ -260,29 +260,37 @@ _TILTED = "the gyroscope's bias varies with the attitude by {}"
 _ALONG = WindowMotion.in_sensor
 
 FAMILIES = (
-    _in_time("wander:slow", _VARIES, WindowMotion.in_world, 0.05, SLOW, first=True, of_place=True),
-    _in_time("wander:fast", _VARIES, WindowMotion.in_world, 0.05, _FASTER, of_place=True),
-    _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, first=True, of_iron=True, at_end=_drift_at_end(SLOW)),
-    _in_time("drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)),
-    ColumnFamily("attitude", _GOES, attitude, 0.03, 9, first=True, of_place=True, prior=SELDOM),
-    ColumnFamily("tilt", _LEANS, tilt, 0.03, 3, first=True),
-    ColumnFamily("skew", "the chips' axes are misaligned by {} of the field", _skew, 0.035, 2, first=True),
-    ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
-    ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),
-    ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3, first=True),
-    ColumnFamily("speed", _TURNS, _speed, 0.02, 3, first=True),
-    ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9),
-    ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
+    _in_time("wander:slow", _VARIES, WindowMotion.in_world, 0.05, SLOW, of_place=True),
+    _in_time("wander:fast", _VARIES, WindowMotion.in_world, 0.05, _FASTER, of_place=True, stage=2),
+    _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, stage=1, of_iron=True, at_end=_drift_at_end(SLOW)),
+    _in_time("drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER), stage=2),
+    ColumnFamily("attitude", _GOES, attitude, 0.03, 9, stage=1, of_place=True, prior=SELDOM),
+    ColumnFamily("tilt", _LEANS, tilt, 0.03, 3, stage=1),
+    ColumnFamily("skew", "the chips' axes are misaligned by {} of the field", _skew, 0.035, 2, stage=1),
+    ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5),
+    ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, stage=1),
+    ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
+    ColumnFamily("speed", _TURNS, _speed, 0.02, 3, stage=1),
+    ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9, stage=2),
+    ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, from_rate=True),
     ColumnFamily(
-        "gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, first=True, unit="share", mixed=True
+        "gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, stage=1, unit="share", mixed=True
     ),
-    _in_time("gyroscope:drift", _BIASED, WindowMotion.about_each_axis, 0.015, _SLOWEST, unit="rate", first=True),
+    _in_time("gyroscope:drift", _BIASED, WindowMotion.about_each_axis, 0.015, _SLOWEST, unit="rate"),
     _in_time(
-        "gyroscope:wander", _BIASED, WindowMotion.about_each_axis, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"
+        "gyroscope:wander",
+        _BIASED,
+        WindowMotion.about_each_axis,
+        0.015,
+        (_SLOWEST[1], SLOW[1]),
+        unit="rate",
+        stage=2,
     ),
-    ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),
-    ColumnFamily("gyroscope:field", _TILTED, lambda m: m.about_each_axis(m.unit), 0.0075, 3, unit="rate"),
-    ColumnFamily("halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half),
-    ColumnFamily("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4),
-    ColumnFamily("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4),
+    ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share", stage=2),
+    ColumnFamily("gyroscope:field", _TILTED, lambda m: m.about_each_axis(m.unit), 0.0075, 3, unit="rate", stage=2),
+    ColumnFamily(
+        "halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half, stage=2
+    ),
+    ColumnFamily("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4, stage=2),
+    ColumnFamily("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4, stage=2),
 )

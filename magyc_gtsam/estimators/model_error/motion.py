@@ -196,20 +196,20 @@ class WindowMotion:
 
     def gyroscope_matrix(self) -> UnmodelledColumns:
         """Return the 9 columns of a matrix error on the rate, row by row, as a share of the rate."""
-        return UnmodelledColumns(None, self._gyroscope_matrix)
+        turned = self.rate[:, None, None] * self.rotation
+        return UnmodelledColumns(None, self._links(turned.reshape(9, 3, -1)))
 
     def gyroscope_scales(self) -> UnmodelledColumns:
         """Return the three columns of the scale errors of the gyroscope's axes."""
-        return UnmodelledColumns(None, self._gyroscope_matrix[::4])
+        return UnmodelledColumns(None, self._gyroscope_scales)
 
     def gyroscope_scale(self) -> UnmodelledColumns:
         """Return the column of a scale error common to all axes."""
-        return UnmodelledColumns(None, self._gyroscope_matrix[::4].sum(axis=0, keepdims=True))
+        return UnmodelledColumns(None, self._gyroscope_scales.sum(axis=0, keepdims=True))
 
     @cached_property
-    def _gyroscope_matrix(self) -> Array:
-        turned = self.rate[:, None, None] * self.rotation
-        return self._links(turned.reshape(9, 3, -1))
+    def _gyroscope_scales(self) -> Array:
+        return self._links(self.rate[:, None] * self.rotation)
 
     def _links(self, turned: Array) -> Array:
         """Return columns of the links (k, 3, n − 1) rad by rate errors (k, 3, n) rad/s in the integrated world."""

@@ -16,7 +16,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 ROUNDS = 20  # most updates of robust weights and noise levels
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
-_NOISE_STABLE = 10.0  # squared length of the last step of the noise levels in their own sigmas
+_NOISE_STABLE = 30.0  # squared length of the last step of the noise levels in their own sigmas
 _GYROSCOPE_RANGE = 3.0  # largest factor between the gyroscope's noise and its short-term noise
 _MAGNETOMETER_FLOOR = 3.0  # divides the magnetometer's short-term noise to give the least noise
 _WEIGHTS_STABLE = 1e-3  # mean change of a robust weight

@@ -236,8 +236,8 @@ def _of_part(fit: Fit, rows: slice, factor: float) -> _Angle:
     chain = fit.chain.part(rows.start, rows.stop)
     state = ChainState(fit.state.parameters, fit.state.direction[:, rows])
     weights = Weights(fit.weights.window[rows], fit.weights.link[links])
-    _, reduced = chain.settle(state, weights)
-    part = replace(fit, chain=chain, state=state, weights=weights, reduced=reduced)
+    # The directions are those of the whole: at the same θ they differ at the cut only.
+    part = replace(fit, chain=chain, state=state, weights=weights, reduced=chain.eliminate(state, weights))
     profile = profile_of(part, factor)
     held_by = quadratic(chain.facts[-1:], state.parameters)[2][SKEW, SKEW]
     covariance = np.linalg.inv(profile.information + held_by).astype(np.float64)
