@@ -11,9 +11,10 @@ A bias error δ turns R_k into Exp(K_k δ) R_k, K_k = −∫ R dt, so that two w
 
     g' = Exp(−(K̄' − K̄) δ) g,    tangent noise σ_g √(Σ dt²),
 
-with K̄ the mean over the window; inside the window M g gains mean_j R_jᵀ [g]× (K_j − K̄) δ. Both are first
-order in δ, so that a large change of the bias requires a new integration. With a delay τ of the magnetometer R is
-taken at t − τ.
+with K̄ the mean over the window; inside the window M g gains mean_j R_jᵀ [g]× (K_j − K̄) δ, which is
+dM/dτ [g]× R̄ δ times the variance of the stamps to first order in the turn inside (within 1 to 4 % on windows of 0.15 to
+0.4 rad, 0.03 % of ΔK). Both are first order in δ, so that a large change of the bias requires a new integration. With a
+delay τ of the magnetometer R is taken at t − τ.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.empty_windows import NONE, NOTHING, Between, EmptyWindows, gaps, joined
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
-from magyc_gtsam.factors.chain.rotations import Array, matrices
+from magyc_gtsam.factors.chain.rotations import Array, cross, matrices
 from magyc_gtsam.factors.errors import MagycError
 
 HOLE = 0.5  # s, a longer step of the gyroscope interrupts a chain
-_ROWS = 54  # rows per sample: R 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
+_ROWS = 27  # rows per sample: R 9, K 9, dRᵀ/dτ 9
 _CHUNK = 16384  # samples whose matrices are held at a time, which bounds the memory
 _MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the neighbouring samples
 
@@ -168,7 +169,7 @@ class Preintegration:
         count = np.diff(np.append(starts, total)).astype(float)
         time = np.add.reduceat(self.magnetometer_time, starts) / count
         means = np.empty((_ROWS, len(starts)))
-        turned, lever, rate, swung = slice(0, 9), slice(9, 18), slice(18, 27), slice(27, _ROWS)
+        turned, lever, rate = slice(0, 9), slice(9, 18), slice(18, _ROWS)
         squared_time = np.empty(len(starts))
         first, track = 0, None
         between: list[Between] = []
@@ -179,7 +180,7 @@ class Preintegration:
             track = self._track(track, slice(int(starts[first]), stop), bias, delay)
             own = starts[first:last] - starts[first]
             samples = self._at(track, slice(int(starts[first]), stop), delay)
-            for part, rows in zip((turned, lever, rate, swung), samples, strict=True):
+            for part, rows in zip((turned, lever, rate), samples, strict=True):
                 np.add.reduceat(rows, own, axis=1, out=means[part, first:last])
             squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
             if len(self.empty.link):
@@ -187,14 +188,17 @@ class Preintegration:
                 links.append(last - first)
             first = last
         means /= count
-        transposed = means[turned].reshape(3, 3, -1).swapaxes(0, 1).copy()
+        world = means[turned].reshape(3, 3, -1)
+        since = self.magnetometer_time - np.repeat(time, count.astype(int))
+        change = means[rate].reshape(3, 3, -1).copy()  # a view would keep all means
+        swung = change * (np.add.reduceat(since * since, starts) / count)
         return FieldWindows(
             time=time,
             count=count,
             field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
-            rotation=transposed,
-            rotation_bias=means[swung].reshape(3, 3, 3, -1) - turned_lever(means[turned], means[lever]),
-            rotation_rate=means[rate].reshape(3, 3, -1).copy(),  # a view would keep all means
+            rotation=world.swapaxes(0, 1).copy(),
+            rotation_bias=cross(world[:, None], swung.swapaxes(0, 1)[:, :, None]).swapaxes(0, 1).copy(),
+            rotation_rate=change,
             lever=np.diff(means[lever]).reshape(3, 3, -1),
             link_time=np.diff(squared_time),
             linked=self.linked,
@@ -258,10 +262,8 @@ class Preintegration:
         )
         return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
 
-    def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Array, Array, Array, Array]:
-        """Return R, K, dRᵀ/dτ (9, len(rows)) each and Rᵀ [·]× K (27, len(rows)) at the samples' stamps less the
-        delay.
-        """
+    def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Array, Array, Array]:
+        """Return R, K and dRᵀ/dτ, (9, len(rows)) each, at the samples' stamps less the delay."""
         when = self.magnetometer_time[rows] - delay
         begin = int(np.searchsorted(track.time, when[0]))
         own = slice(begin, begin + len(when))
@@ -278,16 +280,4 @@ class Preintegration:
         np.subtract(y * r[2], z * r[1], out=change[0])
         np.subtract(z * r[0], x * r[2], out=change[1])
         np.subtract(x * r[1], y * r[0], out=change[2])
-        return turned, lever, change.reshape(9, -1), turned_lever(turned, lever).reshape(27, -1)
-
-
-def turned_lever(rotation: Array, lever: Array) -> Array:
-    """Return Rᵀ [e_k]× K column by column, from the rows of R and K (9, n) each: (3, 3, 3, n), rows of Rᵀ first."""
-    r = rotation.reshape(3, 3, -1)
-    x, y, z = lever.reshape(3, 3, -1)  # rows of K
-    result = np.empty((3, 3, 3, r.shape[2]))
-    for a in range(3):
-        np.subtract(r[2, a] * y, r[1, a] * z, out=result[a, 0])
-        np.subtract(r[0, a] * z, r[2, a] * x, out=result[a, 1])
-        np.subtract(r[1, a] * x, r[0, a] * y, out=result[a, 2])
-    return result
+        return turned, lever, change.reshape(9, -1)

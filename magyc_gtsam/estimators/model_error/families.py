@@ -270,7 +270,7 @@ FAMILIES = (
     ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5),
     ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, stage=1),
     ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
-    ColumnFamily("speed", _TURNS, _speed, 0.02, 3, stage=1),
+    ColumnFamily("speed", _TURNS, _speed, 0.02, 3),
     ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9, stage=2),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, from_rate=True),
     ColumnFamily(
