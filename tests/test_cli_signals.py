@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import COMMAND
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli.files import replacing_folder
@@ -223,3 +224,20 @@ def test_a_request_to_end_that_comes_while_something_is_destroyed_is_not_lost(
     monkeypatch.setattr(app, "run", run)
     assert main(["info"]) == 143
     assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_full_output_keeps_the_exit_code_and_is_named(tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        asked = [COMMAND, "info", "absent.mcap"]
+        assert subprocess.run(asked, cwd=tmp_path, stderr=full, check=False).returncode == 2
+        told = subprocess.run(
+            [COMMAND, "export", "--help"],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert told.returncode == 2
+    assert "No space left" in told.stderr

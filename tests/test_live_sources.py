@@ -368,6 +368,9 @@ def test_rate_losses_and_delay() -> None:
         batch = NewSamples(*(Samples(t, np.zeros((len(t), 3))) for t in parts))
         monitor.take(batch, 1000 + second + 0.1 + 0.08 * (second > 57), round_trip=0.01)
     health = monitor.health
+    once = StreamMonitor()  # a file that is complete arrives at once
+    once.take(NewSamples(*(Samples(t, np.zeros((len(t), 3))) for t in (field, rate))), 1000.0)
+    assert once.health.rate == pytest.approx((len(field) / 60, 200), rel=1e-3)
     assert health.rate[0] == pytest.approx(95, abs=4)
     assert health.rate[1] == pytest.approx(200, abs=1)
     assert (
@@ -375,3 +378,10 @@ def test_rate_losses_and_delay() -> None:
     )  # those before the period is known are not seen
     assert health.late == pytest.approx(0.08, abs=0.02)
     assert "link 5.0 ms" in health.sentence
+
+
+def test_a_closed_standard_input_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its number may belong to another file by then."""
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(mg.MagycError, match="standard input: is closed; pipe lines of JSON into it"):
+        open_source("-", Request())

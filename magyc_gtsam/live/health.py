@@ -64,7 +64,7 @@ class StreamMonitor:
 
     def __init__(self) -> None:
         self._steps = (_Steps(), _Steps())
-        self._blocks: deque[tuple[float, float, tuple[int, int], tuple[float, float]]] = deque()
+        self._blocks: deque[tuple[float, float, list[tuple[int, float]]]] = deque()
         self._quickest: deque[tuple[float, float]] = deque()
         self._link: float | None = None
 
@@ -80,17 +80,15 @@ class StreamMonitor:
         self._forget(arrived)
         if not batch:
             return
-        for steps, samples in zip(self._steps, batch, strict=True):
-            steps.take(samples.time)
+        counted = [steps.take(samples.time) for steps, samples in zip(self._steps, batch, strict=True)]
         behind = arrived - max(float(samples.time[-1]) for samples in batch if len(samples.time))
-        counts = (len(batch.magnetometer.time), len(batch.gyroscope.time))
         late = 0.0
         if not self._quickest or behind - self._quickest[0][1] < _LEAP:
             while self._quickest and self._quickest[-1][1] >= behind:
                 self._quickest.pop()
             self._quickest.append((arrived, behind))
             late = behind - self._quickest[0][1]
-        self._blocks.append((arrived, late, counts, (self._steps[0].elapsed, self._steps[1].elapsed)))
+        self._blocks.append((arrived, late, counted))
 
     def _forget(self, now: float) -> None:
         """Drop batches that are too old to count."""
@@ -102,12 +100,11 @@ class StreamMonitor:
     @property
     def health(self) -> StreamHealth:
         """The present state."""
-        late = max((late for _, late, _, _ in self._blocks), default=0.0)
+        late = max((late for _, late, _ in self._blocks), default=0.0)
         rates = []
         for sensor in range(2):
-            ends = [elapsed[sensor] for _, _, _, elapsed in self._blocks]
-            count = sum(counts[sensor] for _, _, counts, _ in list(self._blocks)[1:])
-            rates.append(count / (ends[-1] - ends[0]) if len(ends) > 1 and ends[-1] > ends[0] else 0.0)
+            count, elapsed = np.sum([counted[sensor] for _, _, counted in self._blocks] or [(0, 0.0)], axis=0)
+            rates.append(float(count / elapsed) if elapsed > 0 else 0.0)
         return StreamHealth(
             (rates[0], rates[1]),
             sum(steps.count for steps in self._steps),
@@ -122,19 +119,19 @@ class _Steps:
 
     def __init__(self) -> None:
         self.count = self.missing = 0
-        self.elapsed = 0.0  # s, by all steps but those that a wrong stamp makes
         self.last = -np.inf
         self._recent: Array = np.empty(0)
 
-    def take(self, time: Array) -> None:
+    def take(self, time: Array) -> tuple[int, float]:
+        """Return the number of new steps, and their sum in s, without those that a wrong stamp makes."""
         if not len(time):
-            return
+            return 0, 0.0
         self.count += len(time)
         steps = np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0])
         steps = steps[(steps > 0) & (steps < _LEAP)]
         self.last = float(time[-1])
-        self.elapsed += float(steps.sum())
         self._recent = np.concatenate([self._recent, steps])[-_STEPS:]
         if len(self._recent) >= _FEWEST_STEPS and (period := float(np.median(self._recent))) > 0:
             wide = steps[steps > _MISSING * period]
             self.missing += int((np.round(wide / period) - 1).sum())
+        return len(steps), float(steps.sum())

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import select
+import sys
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.lines import SourceOfLines
 from magyc_gtsam.live.source import NewSamples, nothing
@@ -19,9 +21,14 @@ class JsonLines(SourceOfLines):
         descriptor: file descriptor, read without buffering; 0 for standard input.
         request: units.
         name: the source's name in messages.
+
+    Raises:
+        MagycError: standard input is closed; another file may have its number then.
     """
 
     def __init__(self, descriptor: int, request: Request, name: str = "standard input") -> None:
+        if descriptor == 0 and sys.stdin is None:
+            raise MagycError(f"{name}: is closed; pipe lines of JSON into it")
         super().__init__(name, request)
         self._descriptor = descriptor
 

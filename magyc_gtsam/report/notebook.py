@@ -22,6 +22,7 @@ from magyc_gtsam.report.gap_verdict import judged_gap
 from magyc_gtsam.report.gap_words import effect_value
 from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.storage.paths import expect_path
+from magyc_gtsam.storage.whole_file import whole_file
 from magyc_gtsam.study.outcome import Comparison
 
 if TYPE_CHECKING:
@@ -80,7 +81,9 @@ def report(calibration: Calibration, path: str | os.PathLike[str], recording: Re
     recording = _recording_of(calibration, recording)
     file = expect_path("report", path)
     if file.suffix == ".pdf":
-        plot_calibration(calibration, recording).savefig(file)
+        figures = plot_calibration(calibration, recording)
+        with whole_file(file) as part:
+            figures.savefig(part, format="pdf")
         return file
     from magyc_gtsam.report.page import write_report
 

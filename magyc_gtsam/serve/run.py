@@ -38,7 +38,8 @@ def serve(folder: Path, port: int, host: str | None, limits: Limits, ready: Call
         listening = socket.create_server((host or LOOPBACK, port), family=family, backlog=128)
     except (OSError, OverflowError) as error:
         raise MagycError(
-            f"{host or LOOPBACK}:{port}: cannot be listened on ({error}); choose another --port"
+            f"{host or LOOPBACK}:{port}: cannot be listened on ({error}); choose another --port, or as --host an "
+            "address of this machine"
         ) from None
     port = listening.getsockname()[1]
     token = None if host is None else secrets.token_urlsafe(24)
