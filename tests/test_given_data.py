@@ -157,3 +157,22 @@ def test_numbers_of_numpy_as_options_can_be_saved(tmp_path: Path) -> None:
     online = mg.OnlineCalibrator(**options)
     online.save(tmp_path / "state.npz")
     assert mg.OnlineCalibrator.load(tmp_path / "state.npz").options == online.options
+
+
+def test_damaged_gyroscope_samples_are_not_taken_for_another_unit(tmp_path: Path) -> None:
+    sim = mg.simulate("wide", duration=60).recording
+    rate = np.array(sim.angular_rate)
+    rate[[100, 400], [0, 2]] = 3e7, -90.0
+    with pytest.raises(
+        MagycError, match="2 of 600 rows are beyond 70 rad/s, which no gyroscope measures, the first is row 100"
+    ):
+        mg.Recording(sim.time, sim.magnetic_field, rate)
+    log = tmp_path / "log.csv"
+    np.savetxt(
+        log, np.c_[sim.time, sim.magnetic_field, rate], delimiter=",", header="time,mx,my,mz,gx,gy,gz", comments=""
+    )
+    recording = mg.read(log)
+    assert "g: 2 of 600 samples are beyond what gyroscopes measure and were left out" in recording.notes
+    assert len(recording.gyroscope.time) == 598
+    with pytest.raises(MagycError, match="likely unit: deg/s or mrad/s"):
+        mg.Recording(sim.time, sim.magnetic_field, np.array(sim.angular_rate) * 1e3)

@@ -123,9 +123,12 @@ def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: 
             rows = instances == instance
             key = (name, int(instance) + shift)
             at = places[rows]
-            columns = {
-                c: log.column(kind, c, at).astype(np.float64) for c in fields[kind] if known.holds(c, "numbers")
-            }
+            with np.errstate(invalid="ignore"):  # damaged bytes can be a NaN that signals
+                columns = {
+                    c: log.column(kind, c, at).astype(np.float64)
+                    for c in fields[kind]
+                    if known.holds(c, "numbers")
+                }
             if key not in samples:
                 samples[key] = InstanceSamples(label(key), stamp[rows], columns, np.searchsorted(changes, at))
         request.report(0.3 + 0.7 * (done + 1) / len(present))

@@ -15,7 +15,7 @@ from magyc_gtsam.foreign_text import counted, first_of
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.recording.checks import FIELD_RANGE, given_away
+from magyc_gtsam.recording.checks import FIELD_RANGE, given_away, impossible_rates
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -136,6 +136,10 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
     stream = _finite(stream, role, notes)
     if role == "magnetic_field":
         stream = _measured(stream, in_tesla, notes)
+    if role == "angular_rate" and (damaged := impossible_rates(stream.value)).any():
+        count = f"{damaged.sum()} of {len(damaged)} samples"
+        notes.append(f"{stream.name}: {count} are beyond what gyroscopes measure and were left out")
+        stream = stream.rows(~damaged)
     if len(stream.stamp) < 2:
         raise MagycError(f"{stream.name}: {counted(len(stream.stamp), 'sample')}, at least 2 are needed")
     restarts = _restarts(stream.stamp)

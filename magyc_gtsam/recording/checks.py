@@ -18,6 +18,7 @@ EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
 _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
 FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
+_FEW = 0.01  # share of the rows that may be damaged; more are of another unit
 _PLACEHOLDERS = (999, 9999, 99999, 999999, 2**15 - 1, 2**15, 2**16 - 1)  # commonly written for "no value"
 _LARGEST = 1e12  # largest value of any channel: 100 A are 1e11 nA
 # A placeholder lies this many times farther from the median than any other sample.
@@ -156,11 +157,28 @@ def check_field_unit(magnetic_field: Array) -> None:
     )
 
 
+def impossible_rates(angular_rate: Array) -> Mask:
+    """Return the rows (n,) beyond what gyroscopes measure, if they are few and all others are within any range.
+
+    Such rows were damaged on their way. In another unit the readings would not stop at half the limit.
+    """
+    beyond: Mask = np.abs(angular_rate).max(axis=1, initial=0.0) > _RATE_LIMIT
+    if beyond.any() and (beyond.mean() > _FEW or np.abs(angular_rate[~beyond]).max() > 0.5 * _RATE_LIMIT):
+        beyond[:] = False
+    return beyond
+
+
 def check_rate_unit(time: Array, angular_rate: Array) -> None:
     """Raise a MagycError unless the angular rate (n, 3) can be in rad/s."""
     if max(angular_rate.max(), -angular_rate.min()) > _RATE_LIMIT:
         largest = np.abs(angular_rate).max(axis=1)
         row = int(largest.argmax())
+        damaged = np.flatnonzero(impossible_rates(angular_rate))
+        if len(damaged):
+            raise MagycError(
+                f"angular_rate: {len(damaged)} of {len(largest)} rows are beyond {_RATE_LIMIT:g} rad/s, which no "
+                f"gyroscope measures, the first is row {damaged[0]}; remove those rows"
+            )
         raise MagycError(
             f"angular_rate: {largest[row]:.4g} at row {row} ({time[row]:.3f} s) is beyond {_RATE_LIMIT:g} rad/s; "
             "likely unit: deg/s or mrad/s; convert it, or read it in its unit (angular_unit=)"
