@@ -16,7 +16,10 @@ from magyc_gtsam.recording import Array, Recording
 
 _MOST_ROWS = 1000  # largest number of rows used for the vertical and the dip
 _UPRIGHT = 0.5  # length of the mean vertical above which the vehicle has an axis that points up
-_DEFAULT_DIP = 60.0  # deg, as in middle latitudes; used if the recording has no vertical
+_DEFAULT_DIP = 60.0  # deg, as in middle latitudes; used if the recording shows no vertical
+# Ratio of the two smallest variances of the field below which it sweeps about an axis. Simulated at dips of 20, 60 and
+# 85°: 0.001 to 0.06 on ships, cars and multirotors, 0.03 to 0.33 on a diving vehicle, 0.31 to 0.96 in a hand.
+_FLAT = 0.1
 _STEPS = 120  # number of headings of a turn
 _HEADING = np.linspace(0.0, 360.0, _STEPS + 1)
 _HEADING.flags.writeable = False
@@ -124,8 +127,9 @@ class LevelTurn:
 def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strength: float) -> LevelTurn:
     """Return a level turn in a field of `strength` T, with the vertical and the dip of the recording.
 
-    The turn is about the sensor's z axis if the recording has no mean vertical; the dip is 60° if it has no vertical
-    at all.
+    Without an accelerometer or an attitude the vertical is the axis about which the field sweeps, as it does on a
+    vehicle that turns more than it tilts. The turn is about the sensor's z axis if the recording has no mean vertical;
+    the dip is 60° if it shows no vertical at all.
     """
     rows = slice(None, None, max(len(recording.time) // _MOST_ROWS, 1))
     field = calibrated(recording.magnetic_field[rows], soft_iron, hard_iron)
@@ -141,6 +145,9 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
         if np.linalg.norm(mean) > _UPRIGHT:  # otherwise the instrument was tumbled and no axis stayed vertical
             axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
         dip = median(inclination(seen, up))
+    elif (swept := _swept_about(field)) is not None:
+        axis, about = swept, "the axis that the field sweeps about"
+        dip = median(inclination(field, np.broadcast_to(swept, field.shape)))
     if axis is None:  # the field points down on the northern hemisphere
         axis = np.array([0.0, 0.0, -1.0 if np.median(field[:, 2]) > 0 else 1.0])
     dip = min(max(dip, -85.0), 85.0)  # at a steeper dip heading has no meaning
@@ -152,6 +159,19 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
     horizontal = np.cos(angle) * ahead + np.sin(angle) * left
     sine, cosine = np.sin(np.radians(dip)), np.cos(np.radians(dip))
     return LevelTurn(_HEADING, strength * (cosine * horizontal - sine * axis), ahead, left, dip, about)
+
+
+def _swept_about(field: Array) -> Array | None:
+    """Return the upward unit axis (3,) about which a field (n, 3) sweeps; None if it sweeps about no single one.
+
+    The field is taken to point down, as on the northern hemisphere; the other sign turns the other way round.
+    """
+    mean = field.mean(axis=0)
+    spread, axes = np.linalg.eigh(np.cov(field - mean, rowvar=False))
+    if not spread[0] < _FLAT * spread[1]:
+        return None
+    axis = axes[:, 0]
+    return cast(Array, -axis if axis @ mean > 0 else axis)
 
 
 def calibrated(field: Array, soft_iron: Array, hard_iron: Array) -> Array:

@@ -30,6 +30,7 @@ from magyc_gtsam.report.analysis import (
 from magyc_gtsam.report.charts import packed
 from magyc_gtsam.report.page import render
 from magyc_gtsam.report.words import advice, parameter_rows, stretch, uncertain
+from magyc_gtsam.simulation import simulate
 
 SOFT_IRON = np.array([[1.10, 0.10, 0.04], [0.10, 0.88, 0.02], [0.04, 0.02, 1.22]])
 HARD_IRON = np.array([2e-6, 12e-6, 9e-6])
@@ -125,6 +126,19 @@ def test_zeros_in_place_of_an_acceleration_are_no_vertical() -> None:
     bare = replace(simulated(), attitude=None, acceleration=None)
     zeros = turn_of(replace(bare, acceleration=np.zeros_like(bare.magnetic_field)), good())
     assert (zeros.dip, zeros.about) == (60.0, turn_of(bare, good()).about)
+
+
+@pytest.mark.parametrize(
+    ("motion", "dip", "seen"), [("ship", 84.0, 84.0), ("level", 20.0, 20.0), ("wide", 80.0, 60.0)]
+)
+def test_without_an_accelerometer_the_dip_is_that_above_the_sweep_of_the_field(
+    motion: str, dip: float, seen: float
+) -> None:
+    """A dip of 60° near a pole would state a tenth of the heading error."""
+    field = 60e-6 * np.array([np.cos(np.radians(dip)), 0.0, np.sin(np.radians(dip))])
+    simulation = simulate(motion, 120, seed=1, field=field)
+    turn = turn_of(replace(simulation.recording, attitude=None, acceleration=None), simulation.truth)
+    assert turn.dip == pytest.approx(seen, abs=1.5)
 
 
 def test_systematic_heading_error_is_the_spread_of_calibrations() -> None:
