@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -65,8 +65,6 @@ class FieldVariation:
     period: float
     components: Array
     colour_columns: int
-    _columns: Array
-    _less: Array
 
     @property
     def evident(self) -> bool:
@@ -75,8 +73,17 @@ class FieldVariation:
 
     def whiten(self, rows: Array) -> Array:
         """Whiten rows (k, 3n), already whitened for the sensors' noise, for the variation of the field too."""
-        result: Array = (rows - ((rows @ self._columns.T) * self._less) @ self._columns) / self.noise
+        columns, less = self._whitener
+        result: Array = (rows - ((rows @ columns.T) * less) @ columns) / self.noise
         return result
+
+    @cached_property
+    def _whitener(self) -> tuple[Array, Array]:
+        """Orthonormal rows (r, 3n) that span the components, and the share (r,) of each that whitening removes."""
+        value, vector = np.linalg.eigh(self.components @ self.components.T)
+        kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
+        columns = (vector[:, kept] / np.sqrt(value[kept])).T @ self.components
+        return columns, 1 - 1 / np.sqrt(1 + value[kept])
 
 
 def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -> FieldVariation:
@@ -122,11 +129,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     constant, _ = search.log(np.zeros(len(raw)), fixed=True)
     period = CORRELATION[(shape - 1) % len(CORRELATION)] if shape else 0.0
     scaled = raw[chosen > 0] * chosen[chosen > 0, None]
-    value, vector = np.linalg.eigh(scaled @ scaled.T)
-    kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
-    columns = (vector[:, kept] / np.sqrt(value[kept])).T @ scaled
     along = _deviation(shapes[shape]) * noise
-    less = 1 - 1 / np.sqrt(1 + value[kept])
     return FieldVariation(
         log - constant,
         along,
@@ -137,8 +140,6 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         period,
         scaled,
         int((colours[colour] > 0).sum()),
-        columns,
-        less,
     )
 
 

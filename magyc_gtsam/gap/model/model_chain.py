@@ -92,7 +92,7 @@ def build(
             corrected = replace(windows, field=windows.field - _added(terms, signals))
             chain_ = FieldChain(corrected, model.noise, bend=_bend(bent, signals) if bent else None)
         before = state.direction
-        state, reduced = chain_.settle(state, chain_.unweighted())
+        state = chain_.settled(state, chain_.unweighted())
         if not terms or np.abs(state.direction - before).max() < _AGREED:
             break
-    return chain_, state, reduced, gyroscope
+    return chain_, state, chain_.eliminate(state, chain_.unweighted()), gyroscope
