@@ -19,7 +19,7 @@ from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
@@ -173,14 +173,15 @@ class _Search:
     def log(self, deviations: Array, fixed: bool = False) -> tuple[float, float]:
         """Return ln Z and ρ; ρ is at least 1, and 1 if `fixed`."""
         use = deviations > 0
-        d = deviations[use]
-        inner = d[:, None] * self._gram[np.ix_(use, use)] * d
-        inner[np.diag_indices_from(inner)] += 1.0
-        lower = cholesky(inner, lower=True, check_finite=False) if len(d) else inner
-        y = solve_triangular(lower, d * self._score[use], lower=True) if len(d) else np.zeros(0)
+        d, score, gram = deviations[use], self._score[use], self._gram
+        inner = (gram if use.all() else gram[np.ix_(use, use)]) * (d[:, None] * d)
+        inner.flat[:: len(d) + 1] += 1.0
+        # Of the transpose, which is the same matrix in LAPACK's order.
+        upper = dpotrf(inner.T, lower=0, overwrite_a=1, clean=0)[0] if len(d) else inner
+        y = dtrtrs(upper, d * score, lower=0, trans=1)[0] if len(d) else np.zeros(0)
         rest = max(self._square - float(y @ y), 1e-9)
         variance = 1.0 if fixed else max(rest / self._freedom, 1.0)
-        logs = 2 * float(np.log(np.diag(lower)).sum()) + self._freedom * float(np.log(variance))
+        logs = 2 * float(np.log(upper.diagonal()).sum()) + self._freedom * float(np.log(variance))
         return -0.5 * (rest / variance + logs), float(np.sqrt(variance))
 
 

@@ -69,7 +69,6 @@ class Twin:
     windows: Signals
     gyroscope: Signals
     _integrated: Integrated
-    _filter: ForwardFilter
 
     @classmethod
     def of(cls, problem: Problem, model: Model, near: Twin | None = None) -> Twin:
@@ -92,7 +91,6 @@ class Twin:
             window_signals(problem, integrated, state),
             gyroscope,
             integrated,
-            ForwardFilter.of(chain, reduced),
         )
 
     @property
@@ -113,6 +111,7 @@ class Twin:
         if not same or model.terms[:count] != own.terms or any(term.value.any() for term in more):
             return None
         result = replace(self, model=model)
+        result.__dict__["_filter"] = self._filter
         if np.array_equal(model.free, own.free):
             added = [self.whiten(self.columns(t.name, t.setting)) for t in more if t.name != "timing"]
             result.__dict__["base_columns"] = np.concatenate([self.base_columns, *added])
@@ -132,6 +131,10 @@ class Twin:
     def whiten(self, columns: Columns) -> Array:
         """Return the innovations (p, 3n) of regressors."""
         return self._filter_of_units(columns.window, columns.link).reshape(len(columns.window), -1)
+
+    @cached_property
+    def _filter(self) -> ForwardFilter:
+        return ForwardFilter.of(self.chain, self.reduced)
 
     @cached_property
     def _filter_of_units(self) -> ForwardFilter:
