@@ -65,7 +65,8 @@ def test_an_integration_near_by_serves_for_another_bias_and_delay(twin: Twin, la
 def test_a_constant_error_of_the_rate_is_the_bias(twin: Twin) -> None:
     constant = np.eye(3)[:, :, None] * np.ones(len(twin.gyroscope.time))
     mine = twin.whiten(twin.on_gyroscope(constant))
-    np.testing.assert_allclose(mine, twin.base_columns[9:12], atol=1e-6 * np.abs(mine).max())
+    # The bias inside a window is to first order in the turn there.
+    np.testing.assert_allclose(mine, twin.base_columns[9:12], atol=1e-4 * np.abs(mine).max())
 
 
 def test_the_slow_form_of_a_rate_error_is_close_to_the_exact_one(twin: Twin) -> None:

@@ -64,11 +64,12 @@ def test_a_field_that_varies_is_sized() -> None:
 def test_the_whitening_is_that_of_the_covariance() -> None:
     """M^½ M^½ is the inverse of ρ² (I + Z Λ Zᵀ), whatever rows it is applied to."""
     found = field_variation(twin_of(in_a_room(505, 1.5e-6)))
-    rows = np.random.default_rng(0).standard_normal((3, found._columns.shape[1]))
+    components = found.components
+    rows = np.random.default_rng(0).standard_normal((3, components.shape[1]))
     inner = found.whiten(rows) @ found.whiten(rows).T
-    inside = rows @ found._columns.T
-    added = 1 / (1 - found._less) ** 2 - 1  # eigenvalues of Z Λ Zᵀ
-    direct = (rows @ rows.T - (inside * (added / (1 + added))) @ inside.T) / found.noise**2
+    inside = rows @ components.T
+    small = np.eye(len(components)) + components @ components.T
+    direct = (rows @ rows.T - inside @ np.linalg.solve(small, inside.T)) / found.noise**2
     np.testing.assert_allclose(inner, direct, rtol=1e-9)
 
 
