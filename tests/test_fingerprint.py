@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,3 +43,25 @@ def test_no_simulation_of_the_recording_itself() -> None:
     recording = mg.simulate("wide", 60, seed=1).recording
     with pytest.raises(mg.MagycError, match="simulated: it holds samples of the recording"):
         mg.find_gap(recording, simulated=recording.between(0, 40))
+
+
+def test_a_run_has_the_fingerprint_of_its_recording_in_blocks_and_after_a_restart(tmp_path: Path) -> None:
+    recording = mg.simulate("wide", 60, seed=1).recording
+    assert recording.angular_rate is not None
+    online = mg.OnlineCalibrator()
+    for first, last in pairwise([0, 1, 4, 30, 300, 600]):
+        rows = slice(first, last)
+        online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
+        online.save(tmp_path / "state.npz")
+        online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
+    calibration = online.calibration
+    assert calibration is not None
+    assert calibration.fitted_to == (fingerprint(recording),)
+    with pytest.raises(mg.MagycError, match="would count twice"):
+        mg.calibrate(recording, prior=calibration)
+    for source, twice in ((recording, True), (mg.simulate("wide", 60, seed=2).recording, False)):
+        again = mg.OnlineCalibrator(prior=calibration)
+        again.update(source.time, source.magnetic_field, source.angular_rate)
+        assert again.calibration is not None
+        assert ("count twice" in again.calibration.message) == ("count twice" in again.progress.sentence) == twice
+        assert not (twice and (again.converged or again.calibration.trusted or again.progress.converged))

@@ -6,6 +6,7 @@ import importlib
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from magyc_gtsam.online import state_file
 from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
 from magyc_gtsam.online.intake import Intake, scalar, vector
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.storage.mapping import json_types
 
@@ -65,6 +67,10 @@ class OnlineCalibrator:
         self._engine: Engine = engine(**options)
         self._intake = Intake()
         self._faults = SensorFaults()
+        self._samples = RunningFingerprint()
+        self._read: Calibration | None = None  # the calibration that was read since the last sample
+        earlier = self.options.get("prior") or {}
+        self._before: list[str] = list(earlier.get("diagnostics", {}).get("recordings", ()))
         self._waiting: list[tuple[float, Array, Array]] = []  # single samples not yet taken
 
     def update(
@@ -124,28 +130,48 @@ class OnlineCalibrator:
 
     @one_thread
     def _pass_on(self, magnetometer: Samples, gyroscope: Samples) -> None:
+        self._read = None
+        self._samples.take(magnetometer.value)
         self._engine.update(*self._faults.take(magnetometer, gyroscope, self._intake.repeated))
+
+    @property
+    def _counted_twice(self) -> str:
+        """Why the earlier calibration must not be used; "" if it has no samples of this run."""
+        if not self._before or first_shared(self._samples.text, self._before) is None:
+            return ""
+        return "the earlier calibration has samples of this run, which count twice: start anew without it (prior=)"
 
     @property
     @one_thread
     def calibration(self) -> Calibration | None:
         """The current estimate with covariance, `converged` and `message`; None before there is one."""
         self._catch_up()
-        return with_left_out(self._engine.calibration(), self._faults, self._intake.duration)
+        if self._read is not None:
+            return self._read
+        calibration = with_left_out(self._engine.calibration(), self._faults, self._intake.duration)
+        if calibration is None:
+            return None
+        of_these = {"recordings": [*self._before, self._samples.text]}
+        calibration = replace(calibration, diagnostics={**calibration.diagnostics, **of_these})
+        twice = self._counted_twice
+        self._read = replace(calibration, converged=False, message=twice) if twice else calibration
+        return self._read
 
     @property
     @one_thread
     def converged(self) -> bool:
         """Whether the estimate may be used: its covariance is within limits and it has stopped changing."""
         self._catch_up()
-        return self._engine.converged() and not refusal(self._faults)
+        return self._engine.converged() and not refusal(self._faults) and not self._counted_twice
 
     @property
     @one_thread
     def progress(self) -> Progress:
         """The progress, the weak directions and the motion that helps."""
         self._catch_up()
-        return with_faults(self._intake.counted(self._engine.progress()), self._faults)
+        progress = with_faults(self._intake.counted(self._engine.progress()), self._faults)
+        twice = self._counted_twice
+        return replace(progress, converged=False, sentence=twice) if twice else progress
 
     @property
     def field(self) -> Array:
@@ -178,6 +204,7 @@ class OnlineCalibrator:
             "engine": self._engine.state(),
             "intake": self._intake.state(),
             "faults": self._faults.state(),
+            "samples": self._samples.state(),
         }
         return {f"{part}/{name}": value for part, state in parts.items() for name, value in state.items()}
 
@@ -209,7 +236,12 @@ class OnlineCalibrator:
     def _restored(cls, method: str, options: Mapping[str, Any], state: Mapping[str, Any]) -> OnlineCalibrator:
         result = cls(method, **options)
         state_file.compare(result._state(), state)
-        parts = (("engine/", result._engine), ("intake/", result._intake), ("faults/", result._faults))
+        parts = (
+            ("engine/", result._engine),
+            ("intake/", result._intake),
+            ("faults/", result._faults),
+            ("samples/", result._samples),
+        )
         for part, owner in parts:
             owner.restore({k.removeprefix(part): v for k, v in state.items() if k.startswith(part)})
         state_file.compare(state, result._state())

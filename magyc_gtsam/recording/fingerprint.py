@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from magyc_gtsam.recording.checks import Array
 from magyc_gtsam.recording.recording import Recording
 
 Hashes = NDArray[np.uint64]
@@ -27,12 +29,35 @@ _FACTORS = np.random.PCG64(0).random_raw(_RUN) | np.uint64(1)
 
 def fingerprint(recording: Recording) -> str:
     """Return the fingerprint of the magnetometer's samples, as text."""
-    rows = _mixed(np.ascontiguousarray(recording.magnetometer.value).view(np.uint64).T)
-    count = max(len(rows) - _RUN + 1, 1)
-    runs = _mixed([rows[k : k + count] for k in range(min(len(rows), _RUN))]) >> np.uint64(64 - 8 * _BYTES)
-    few = 2 * _KEPT  # more than are kept, since some may be equal
-    smallest = np.unique(runs if len(runs) <= few else np.partition(runs, few)[:few])[:_KEPT]
-    return base64.b64encode(smallest.astype(">u8").view(np.uint8).reshape(-1, 8)[:, -_BYTES:].tobytes()).decode()
+    return _text(_smallest(recording.magnetometer.value))
+
+
+class RunningFingerprint:
+    """The fingerprint of a recording that grows, in constant time and memory."""
+
+    def __init__(self) -> None:
+        self._last = np.empty((0, 3))  # samples whose runs continue
+        self._hashes = np.empty(0, np.uint64)
+
+    def take(self, values: Array) -> None:
+        """Add the next samples (n, 3) of the magnetometer, without repeats."""
+        rows = np.vstack([self._last, values])
+        if len(rows) >= _RUN:
+            self._hashes = np.union1d(self._hashes, _smallest(rows))[:_KEPT]
+        self._last = rows[-(_RUN - 1) :]
+
+    @property
+    def text(self) -> str:
+        """The fingerprint so far; "" before the first run of samples."""
+        return _text(self._hashes)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return the state as named arrays, for `restore`."""
+        return {"last": self._last, "hashes": self._hashes}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Restore a state that `state` returned."""
+        self._last, self._hashes = state["last"], state["hashes"]
 
 
 def first_shared(own: str, others: Iterable[str]) -> str | None:
@@ -48,6 +73,21 @@ def first_shared(own: str, others: Iterable[str]) -> str | None:
         if shared.sum() >= min(_LEAST, len(smallest)) > 0:
             return other
     return None
+
+
+def _smallest(values: Array) -> Hashes:
+    """Return the smallest hashes of the runs of samples (n, 3), ascending."""
+    if not len(values):
+        return np.empty(0, np.uint64)
+    rows = _mixed(np.ascontiguousarray(values).view(np.uint64).T)
+    count = max(len(rows) - _RUN + 1, 1)
+    runs = _mixed([rows[k : k + count] for k in range(min(len(rows), _RUN))]) >> np.uint64(64 - 8 * _BYTES)
+    few = 2 * _KEPT  # more than are kept, since some may be equal
+    return np.unique(runs if len(runs) <= few else np.partition(runs, few)[:few])[:_KEPT]
+
+
+def _text(hashes: Hashes) -> str:
+    return base64.b64encode(hashes.astype(">u8").view(np.uint8).reshape(-1, 8)[:, -_BYTES:].tobytes()).decode()
 
 
 def _mixed(parts: Iterable[Hashes]) -> Hashes:
