@@ -45,9 +45,7 @@ from magyc_gtsam.factors.chain.rotations import Array, cross, right_jacobian, sk
 from magyc_gtsam.factors.errors import MagycError
 
 _SETTLING = 20  # largest number of Gauss–Newton steps of the directions alone
-_SETTLED = (
-    1e-12  # rad², squared step of a direction, after which at most 2e-10 rad are left: each step squares them
-)
+_SETTLED = 1e-12  # rad², squared step of a direction; a last one leaves 2e-10 rad, since each squares them
 
 
 @dataclass(frozen=True, eq=False)
