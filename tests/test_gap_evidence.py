@@ -14,7 +14,7 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
+from magyc_gtsam.gap.evidence.candidates import Batch, Candidates, settings_of
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
 from magyc_gtsam.gap.evidence.names import kept
@@ -264,3 +264,14 @@ def test_a_saturation_is_no_cubic_beside_it(seed: int) -> None:
     said = stated_of(mg.simulate("wide", 200, seed=seed, effects=["saturation"]).recording)
     assert said["saturation"] > 0.9
     assert said.get("cubic", 0.0) < 0.3
+
+
+@pytest.mark.parametrize(("duration", "modes"), [(5, 0), (30, 4), (120, PRIOR.modes)])
+def test_a_drift_is_a_line_or_slow(duration: int, modes: int) -> None:
+    """Of a random walk it has the modes of 12 s and longer, all of them: with some, the others pass for noise."""
+    recording = mg.simulate("wide", duration, seed=1).recording
+    orders = [
+        one["order"]
+        for one in settings_of(base_model(recording, None, short_term_noise(recording)).twin, "hard-iron-drift")
+    ]
+    assert orders == sorted({0.0, float(modes)})

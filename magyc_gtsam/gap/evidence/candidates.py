@@ -137,7 +137,9 @@ def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
     if name != "hard-iron-drift":
         return [{"uneven": 1.0} if setting.get("full") else setting for setting in TERMS[name].settings(twin)]
     ends = {"start": float(twin.time[0]), "end": float(twin.time[-1])}
-    return [{"order": float(order)} | ends for order in (0, *PRIOR.modes)]
+    duration = float(twin.time[-1] - twin.time[0])
+    modes = min(PRIOR.modes, int(2 * duration / PRIOR.drift_period))
+    return [{"order": float(order)} | ends for order in sorted({0, modes})]
 
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:
