@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 from scipy.stats import multivariate_normal
 
 import magyc_gtsam as mg
@@ -14,7 +15,7 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Batch, Candidates, settings_of
+from magyc_gtsam.gap.evidence.candidates import DRIFT, Batch, Candidates, settings_of
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
 from magyc_gtsam.gap.evidence.names import kept
@@ -266,12 +267,25 @@ def test_a_saturation_is_no_cubic_beside_it(seed: int) -> None:
     assert said.get("cubic", 0.0) < 0.3
 
 
-@pytest.mark.parametrize(("duration", "modes"), [(5, 0), (30, 4), (120, PRIOR.modes)])
-def test_a_drift_is_a_line_or_slow(duration: int, modes: int) -> None:
-    """Of a random walk it has the modes of 12 s and longer, all of them: with some, the others pass for noise."""
+@pytest.mark.parametrize(
+    ("duration", "orders"), [(5, [0]), (30, [0, 4]), (50, [0, 4, 8]), (120, [0, *PRIOR.modes])]
+)
+def test_a_drift_is_a_line_or_slow(duration: int, orders: list[int]) -> None:
+    """Its modes have periods of 12 s and longer."""
     recording = mg.simulate("wide", duration, seed=1).recording
-    orders = [
-        one["order"]
-        for one in settings_of(base_model(recording, None, short_term_noise(recording)).twin, "hard-iron-drift")
-    ]
-    assert orders == sorted({0.0, float(modes)})
+    twin = base_model(recording, None, short_term_noise(recording)).twin
+    assert [one["order"] for one in settings_of(twin, DRIFT)] == orders
+
+
+@pytest.mark.parametrize("seed", [6, 9, 10])
+def test_the_modes_of_a_drift_are_chosen_anew_beside_other_effects(seed: int) -> None:
+    """A walk and a delay: alone twelve modes are likelier, which follow the delay, too; beside the delay four are."""
+    base = mg.simulate("wide", 120, seed=seed, delay=0.3).recording
+    walk = np.random.default_rng(seed).standard_normal((9, 3)).cumsum(axis=0)
+    drift = 1e-6 * PchipInterpolator(np.arange(9) * 16.0, walk)(base.time - base.time[0])
+    recording = replace(base, magnetic_field=base.magnetic_field + drift - drift.mean(axis=0))
+    tree = Tree(base_model(recording, None, short_term_noise(recording)), (DRIFT, "timing"))
+    assert tree.best.key == (DRIFT, "timing")
+    for names, order in (((DRIFT,), 12.0), ((DRIFT, "timing"), 4.0)):
+        terms = tree.nodes[names].fit.model.terms
+        assert [term.setting["order"] for term in terms if term.name == DRIFT] == [order]

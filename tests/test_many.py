@@ -155,8 +155,22 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     again = [*command[:3], str(added / "history.yaml"), "-o", str(tmp_path / "again")]
     assert main(again) == 2
     assert "third.mcap: its samples are in the history already; leave it out" in capsys.readouterr().err
-    assert main([*again, "--end", "200"]) in (0, 1)  # another log of the same name
-    assert "third.mcap (2)" in capsys.readouterr().out
+    assert main([*again, "--end", "200"]) == 2  # a part of it
+    assert "third.mcap: its samples are in the history already; leave it out" in capsys.readouterr().err
+    alone = tmp_path / "alone"
+    assert main(["history", str(DIVE), "-o", str(alone)]) in (0, 1)
+    write_mcap(tmp_path / DIVE.name, mg.simulate("wide", 120, 10, seed=5).recording)
+    of_same_name = [
+        "history",
+        str(tmp_path / DIVE.name),
+        "--add",
+        str(alone / "history.yaml"),
+        "-o",
+        str(tmp_path / "again"),
+    ]
+    capsys.readouterr()
+    assert main(of_same_name) in (0, 1)
+    assert f"{DIVE.name} (2)" in capsys.readouterr().out
     assert main(["history", str(tmp_path / "third.mcap"), "--add", str(DIVE)]) == 2
     assert "not a text file; a history.yaml is expected here" in capsys.readouterr().err
     assert main([*command[:-1], str(tmp_path / "other"), "--gyroscope-scale", "1"]) == 2

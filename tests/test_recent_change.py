@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import OnlineCalibrator, simulate
 
-CHANGED = 200.0  # s
+CHANGED = 240.0  # s
 
 
 def readings(seed):
     """Return of each (time since the change, largest error of the soft iron and error of the misalignment in sigmas,
     whether a change is named).
     """
-    simulation = simulate("wide", duration=220, seed=seed)
+    simulation = simulate("wide", duration=260, seed=seed)
     recording, truth = simulation.recording, simulation.truth
     steel = np.eye(3) + np.random.default_rng(seed).normal(0, 0.03, (3, 3))
     field, later = recording.magnetic_field.copy(), recording.time >= CHANGED

@@ -22,7 +22,7 @@ from magyc_gtsam.gap.scores.generic import Family, families
 
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, setting, and its log prior
 Stack = tuple[Array, Array, list[Part]]
-COURSE, COLOUR = "time:sensor", "coloured-noise"
+COURSE, COLOUR, DRIFT = "time:sensor", "coloured-noise", "hard-iron-drift"
 _AT_ONCE = 100_000  # numbers processed at once, so that they stay in the processor's cache
 
 
@@ -134,12 +134,12 @@ def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
     A drift is a straight line or the slow part of a random walk. Plates have a matrix without the part that is common
     to all directions, which is a delay.
     """
-    if name != "hard-iron-drift":
+    if name != DRIFT:
         return [{"uneven": 1.0} if setting.get("full") else setting for setting in TERMS[name].settings(twin)]
     ends = {"start": float(twin.time[0]), "end": float(twin.time[-1])}
     duration = float(twin.time[-1] - twin.time[0])
-    modes = min(PRIOR.modes, int(2 * duration / PRIOR.drift_period))
-    return [{"order": float(order)} | ends for order in sorted({0, modes})]
+    most = int(2 * duration / PRIOR.drift_period)
+    return [{"order": float(order)} | ends for order in sorted({0, *(min(modes, most) for modes in PRIOR.modes)})]
 
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:

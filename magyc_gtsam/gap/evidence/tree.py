@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Candidates, at_settings, settings_of
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.one_way import one_way
@@ -197,12 +197,12 @@ class Tree:
             setting = dict(self._finer(node, option).setting)
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
-        fit = self._fit(node.key_with(option.name), model, node.fit.twin)
-        if fit is None:
-            return None
-        return self._node(
-            (*node.names, option.name), fit, _variation(node.names, fit), node.search + option.search
+        names, search = (*node.names, option.name), node.search + option.search
+        fits = (
+            self._fit(node.key_with(option.name), each, node.fit.twin) for each in _with_each_drift(model, node)
         )
+        nodes = [self._node(names, fit, _variation(names, fit), search) for fit in fits if fit is not None]
+        return max(nodes, key=lambda each: each.log, default=None)
 
     def _fit(self, key: tuple[str, ...], model: Model, known: Twin | None) -> Refit | None:
         """Fit a model; None, and its names are refused, if there is no fit or a value is impossible."""
@@ -268,9 +268,21 @@ class Tree:
         if products:
             made = weigh(Candidates.of(twin, (), [f for f, _ in products.values()]), node.beside, node.named)
             found |= {name: each.less(products[name][1]) for name, each in made.items()}
-        if "hard-iron-drift" not in node.names:
+        if DRIFT not in node.names:
             found |= one_way(self.candidates, node.beside, node.named)
         return found
+
+
+def _with_each_drift(model: Model, node: Node) -> Iterator[Model]:
+    """Yield a model, and the same with other numbers of modes of its drift, which depend on the effects beside it."""
+    yield model
+    for index, term in enumerate(model.terms):
+        for setting in settings_of(node.fit.twin, term.name) if term.name == DRIFT else ():
+            order = int(setting["order"])
+            if order and term.setting["order"] and order != term.setting["order"]:
+                terms = list(model.terms)
+                terms[index] = Active(term.name, setting, np.zeros(3 * order))
+                yield replace(model, terms=tuple(terms))
 
 
 def _variation(names: Sequence[str], fit: Refit) -> FieldVariation | None:
