@@ -166,6 +166,8 @@ def test_one_dive_after_the_other_is_the_batch(dives: tuple[LogFactor, ...], tmp
     factors = draw_season(3, dives, SeasonPlan(dives=30)).factors
     batch = History(factors)
     history = History(factors[:12])
+    with pytest.raises(mg.MagycError, match=r"History.add: 'log.mcap' is a file; read it first"):
+        history.add("log.mcap")  # type: ignore[arg-type]
     for k in range(12, 30):
         if k == 20:
             history.save(tmp_path / "history.yaml")

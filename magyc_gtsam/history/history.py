@@ -23,6 +23,7 @@ from magyc_gtsam.history.log_factor import MICROTESLA, PER_MILLE, LogFactor, fac
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.storage.mapping import json_types, parse_json, parse_yaml
 from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import write_text
@@ -183,7 +184,11 @@ class History:
 
         Returns:
             This history.
+
+        Raises:
+            MagycError: not a recording.
         """
+        expect_recording("History.add", recording)
         return self.extend([factor_of(recording, time, self.options)])
 
     def extend(self, factors: Sequence[LogFactor]) -> History:
