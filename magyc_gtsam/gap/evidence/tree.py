@@ -86,8 +86,10 @@ class Tree:
     def _again(self, root: Refit, before: Sequence[Node]) -> Iterator[Node]:
         """Fit sets of nearly the same readings."""
         for old in before:
-            fit = self._fit(old.key, replace(old.fit.model, noise=root.model.noise), None)
-            if fit is not None:
+            fit = self._fit(replace(old.fit.model, noise=root.model.noise), None)
+            if fit is None:
+                self.refused.add(old.key)
+            else:
                 yield self._node(old.names, fit, _variation(old.names, fit), old.search)
 
     def _grow(self, frontier: list[Node]) -> None:
@@ -198,22 +200,19 @@ class Tree:
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
         names, search = (*node.names, option.name), node.search + option.search
-        fits = (
-            self._fit(node.key_with(option.name), each, node.fit.twin) for each in _with_each_drift(model, node)
-        )
+        fits = (self._fit(each, node.fit.twin) for each in _with_each_drift(model, node))
         nodes = [self._node(names, fit, _variation(names, fit), search) for fit in fits if fit is not None]
+        if not nodes:
+            self.refused.add(node.key_with(option.name))
         return max(nodes, key=lambda each: each.log, default=None)
 
-    def _fit(self, key: tuple[str, ...], model: Model, known: Twin | None) -> Refit | None:
-        """Fit a model; None, and its names are refused, if there is no fit or a value is impossible."""
+    def _fit(self, model: Model, known: Twin | None) -> Refit | None:
+        """Fit a model; None if there is no fit or a value is impossible."""
         try:
             fit = refit(self._problem, model, None, known, _BEYOND * RULES.farthest)
         except MagycError:
-            fit = None
-        if fit is None or not all(possible(fit, index) for index in range(len(fit.model.terms))):
-            self.refused.add(key)
             return None
-        return fit
+        return fit if all(possible(fit, index) for index in range(len(fit.model.terms))) else None
 
     def _node(self, names: tuple[str, ...], fit: Refit, variation: FieldVariation | None, search: float) -> Node:
         terms = Terms.of(fit)
