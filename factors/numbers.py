@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
 
 
 def real_array(value: Any, copy: bool = False) -> NDArray[np.float64]:
@@ -23,6 +26,26 @@ def real_array(value: Any, copy: bool = False) -> NDArray[np.float64]:
     if isinstance(value, np.ma.MaskedArray):
         return np.ascontiguousarray(np.ma.filled(value.astype(np.float64), np.nan))
     return np.array(value, dtype=np.float64, order="C", copy=copy or None)
+
+
+def numbers(name: str, value: Any) -> NDArray[np.float64]:
+    """Return `value` as a new float64 array; unlike `real_array` without text and booleans that look like numbers.
+
+    Raises:
+        MagycError: it holds anything but numbers.
+    """
+    try:
+        if np.asarray(value).dtype.kind not in "iuf" or _holds_booleans(value):
+            raise TypeError
+        return real_array(value, copy=True)
+    except (TypeError, ValueError, OverflowError):
+        raise MagycError(f"{name} must be numbers, got {reprlib.repr(value)}") from None
+
+
+def _holds_booleans(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return any(map(_holds_booleans, value))
+    return isinstance(value, bool | np.bool_)
 
 
 def is_finite(value: Any) -> bool:

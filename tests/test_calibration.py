@@ -267,10 +267,10 @@ IMPOSSIBLE = {
     "a gyroscope that spins": ("gyro_bias", "[1000.0, 0.0, 0.0]", "at most 70 rad/s"),
     "soft iron of billions": ("soft_iron", "[[1.0e+9, 0, 0], [0, 1.0e+9, 0], [0, 0, 1.0e+9]]", "0.001 to 1000"),
     "soft iron without volume": ("soft_iron", "[[1, 0, 0], [0, 1, 0], [0, 0, 1.0e-9]]", "singular"),
-    "a year late": ("delay", "3.0e+7", "delay must be a number from -60 to 60"),
-    "late by true": ("delay", "true", "delay must be a number"),
+    "a year late": ("delay", "3.0e+7", "delay must be at most 60 s"),
+    "late by true": ("delay", "true", "delay must be a finite number"),
     "converged by text": ("converged", "'yes'", "converged must be true or false"),
-    "negative deviation": ("delay_sigma", "-1.0", "delay_sigma must be a number from 0"),
+    "negative deviation": ("delay_sigma", "-1.0", "delay_sigma must be a finite number of at least 0"),
     "field of a magnet": ("field_strength", "5.0", "field_strength must be"),
     "asymmetric covariance": ("covariance", ASYMMETRIC, "symmetric"),
     "negative variance": ("covariance", str((-np.eye(9)).tolist()), "negative variances"),
@@ -286,6 +286,17 @@ def test_what_no_instrument_can_have_is_refused(tmp_path, case):
     path.write_text(yaml.safe_dump(values) + f"{name}: {value}\n")
     with pytest.raises(MagycError, match=words):
         Calibration.load(path)
+    with pytest.raises(MagycError, match=words):
+        Calibration(**{"soft_iron": SOFT_IRON, "hard_iron": HARD_IRON} | {name: yaml.safe_load(value)})
+
+
+def test_what_is_not_trusted_may_be_impossible_and_is_not_exported(tmp_path):
+    """Fits of too little motion end anywhere; their report shows it, and their files can be read again."""
+    Calibration(SOFT_IRON, [1.0, 0.0, 0.0], converged=False).save(tmp_path / "cal.yaml")
+    loaded = Calibration.load(tmp_path / "cal.yaml")
+    assert loaded.hard_iron[0] == 1.0
+    with pytest.raises(MagycError, match="at most 0.01 T"):
+        loaded.export("px4", force=True)
 
 
 def test_counts_may_be_as_large_as_they_are(tmp_path):

@@ -14,6 +14,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import EARLIER, FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +34,8 @@ class Term:
     setting: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        value = np.array(self.value, dtype=float)
-        covariance = np.array(self.covariance, dtype=float)
+        value = numbers(f"term {self.name!r}: value", self.value)
+        covariance = numbers(f"term {self.name!r}: covariance", self.covariance)
         if value.ndim != 1 or covariance.shape != (len(value), len(value)):
             raise MagycError(
                 f"term {self.name!r}: value {value.shape} and covariance {covariance.shape} do not fit together"

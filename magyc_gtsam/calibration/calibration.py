@@ -13,8 +13,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from magyc_gtsam.calibration.limits import check, warn_if_implausible
-from magyc_gtsam.calibration.serialization import FORMAT, as_mapping, as_text, constructor_arguments
+from magyc_gtsam.calibration.limits import checked, warn_if_implausible
+from magyc_gtsam.calibration.serialization import as_mapping, as_text, constructor_arguments
 from magyc_gtsam.calibration.signals import as_signals, given_signals, vectors
 from magyc_gtsam.export import do_not_use, export, parts_of
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate, shifted
@@ -73,31 +73,16 @@ class Calibration:
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the dataclass is frozen
-        parameters = 9 if self.gyro_bias is None else 12
         if self.covariance is None:  # `noise_covariance` is a part of it
             put(self, "noise_covariance", None)
-        square = (parameters, parameters)
-        shapes = {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,), "covariance": square}
-        shapes["noise_covariance"] = square
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is None and name in ("gyro_bias", "covariance", "noise_covariance"):
-                continue
-            try:
-                array = np.array(value, dtype=np.float64)
-            except (TypeError, ValueError):
-                raise MagycError(f"calibration: {name} must be {shape} finite numbers, got {value!r}") from None
-            if array.shape != shape or not np.isfinite(array).all():
-                raise MagycError(f"calibration: {name} must be {shape} finite numbers, got {array.tolist()}")
-            array.flags.writeable = False
+        try:
+            arrays = checked(self)
+        except MagycError as problem:
+            raise MagycError(f"calibration: {problem}") from None
+        for name, array in arrays.items():
             put(self, name, array)
-        if abs(np.linalg.det(self.soft_iron)) < 1e-12:
-            raise MagycError("calibration: soft_iron is singular, so it cannot be applied")
         for name in ("noise", "diagnostics", "configuration"):
-            value = getattr(self, name)
-            if not isinstance(value, Mapping):
-                raise MagycError(f"calibration: {name} must be a mapping of names to values, got {value!r}")
-            put(self, name, MappingProxyType(dict(value)))
+            put(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def apply(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the calibrated field soft_iron⁻¹ (m − hard_iron), without the effects in `terms`.
@@ -284,8 +269,6 @@ class Calibration:
         """
         data = load_mapping(expect_path("Calibration.load", path), "calibration")
         try:
-            if data.get("format") == FORMAT and {"soft_iron", "hard_iron"} <= data.keys():
-                check(data)
             return cls.from_dict(data)
         except MagycError as error:
             raise MagycError(f"{path}: {shortened(error)}") from None

@@ -1,4 +1,4 @@
-"""Check the contents of a calibration file: types, shapes and physically possible ranges."""
+"""Check the values of a calibration: their types, shapes and physically possible ranges."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_finite, numbers
+from magyc_gtsam.foreign_text import shortened
+from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording.checks import FIELD_RANGE, Array
-from magyc_gtsam.storage.mapping import numbers
 
 _LARGEST_RATE = 70.0  # rad/s, twice the range of the fastest common gyroscopes
 _LONGEST_DELAY = 60.0  # s
@@ -19,60 +22,66 @@ _LARGEST_CONDITION_NUMBER = 1e6  # largest condition number of the soft iron
 _SCALE_RANGE = (1e-3, 1e3)  # geometric mean of the soft iron's singular values
 _PLAUSIBLE_FIELD = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with a factor 2.5 for the scale
 _ASYMMETRY = 1e-6  # largest asymmetry of a covariance, relative to its largest element
+_KINDS = {
+    "converged": (bool, "true or false"),
+    "message": (str, "text"),
+    "method": (str, "text"),
+    "terms": (tuple, "a tuple of Term"),
+    "observability": (Observability | None, "an Observability"),
+    "noise": (Mapping, "a mapping of names to numbers"),
+    "diagnostics": (Mapping, "a mapping of names to values"),
+    "configuration": (Mapping, "a mapping of names to values"),
+}
 
 
-def check(data: Mapping[str, Any]) -> None:
-    """Check the values of a calibration file before a `Calibration` is built from them.
+def checked(calibration: Any) -> dict[str, Array]:
+    """Return the arrays of a calibration that is being built, read-only and float64, by name.
+
+    What no instrument can have is refused only where the result would be trusted: one that is not trusted is only
+    shown, and never exported or applied.
 
     Args:
-        data: the mapping that `Calibration.to_dict` returns.
+        calibration: a `Calibration`, which calls this before its arrays are converted.
 
     Raises:
         MagycError: a value has the wrong type or shape, or lies outside the physically possible range.
     """
-    in_counts = isinstance(data.get("configuration"), Mapping) and (
-        data["configuration"].get("magnetic_field_unit") == "counts"
-    )
-    field_limit = math.inf if in_counts else FIELD_RANGE
-    limits = {"soft_iron": (math.inf, ""), "hard_iron": (field_limit, "T"), "gyro_bias": (_LARGEST_RATE, "rad/s")}
-    for name, (limit, unit) in limits.items():
-        if data.get(name) is None:
+    for name, (kind, words) in _KINDS.items():
+        value = getattr(calibration, name)
+        if not isinstance(value, kind):
+            raise MagycError(f"{name} must be {words}, got {shortened(value)!r}")
+    square = (9, 9) if calibration.gyro_bias is None else (12, 12)
+    shapes = {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,)}
+    shapes |= {"covariance": square, "noise_covariance": square}
+    arrays = {}
+    for name, shape in shapes.items():
+        value = getattr(calibration, name)
+        if value is None and name not in ("soft_iron", "hard_iron"):
             continue
-        value = numbers(name, data[name])
-        if not np.isfinite(value).all() or np.abs(value).max(initial=0.0) > limit:
-            raise MagycError(f"{name} must be finite and at most {limit:g} {unit}, got {value.tolist()}")
-        if name == "soft_iron" and value.shape != (3, 3):
-            raise MagycError(f"soft_iron must be (3, 3) finite numbers, got {value.tolist()}")
-    _check_soft_iron(numbers("soft_iron", data["soft_iron"]), in_counts)
-    if data.get("covariance") is not None:
-        covariance = numbers("covariance", data["covariance"])
-        square = covariance.ndim == 2 and covariance.shape[0] == covariance.shape[1]
-        scale = np.abs(covariance).max(initial=0.0)
-        if not square or not (np.abs(covariance - covariance.T) <= _ASYMMETRY * scale).all():
-            raise MagycError("covariance must be a symmetric matrix")
-        if (np.diag(covariance) < 0).any():
-            raise MagycError("covariance has negative variances on its diagonal")
-    for name, low, high, optional in (
-        ("delay", -_LONGEST_DELAY, _LONGEST_DELAY, False),
-        ("delay_sigma", 0.0, math.inf, True),
-        ("field_strength", 0.0, field_limit, True),
-    ):
-        if name in data and not (optional and data[name] is None):
-            _check_number(name, data[name], low, high)
-    for name, kind in (("converged", bool), ("message", str), ("method", str)):
-        if name in data and not isinstance(data[name], kind):
-            raise MagycError(f"{name} must be {'true or false' if kind is bool else 'text'}, got {data[name]!r}")
-    noise = data.get("noise") or {}
-    if not isinstance(noise, Mapping):
-        raise MagycError(f"noise must be names with numbers, got {noise!r}")
-    for sensor, value in noise.items():
-        _check_number(f"noise of {sensor}", value, 0.0, math.inf)
-    for term in data.get("terms") or ():
-        if not isinstance(term, Mapping):
-            raise MagycError(f"terms must be mappings, got {term!r}")
-        for name in ("value", "covariance"):
-            if term.get(name) is not None and not np.isfinite(numbers(f"{name} of a term", term[name])).all():
-                raise MagycError(f"{name} of a term must be finite, got {term[name]}")
+        array = numbers(name, value)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise MagycError(f"{name} must be {shape} finite numbers, got {shortened(array.tolist())}")
+        if shape == square:
+            _check_covariance(name, array)
+        array.flags.writeable = False
+        arrays[name] = array
+    singular_values = np.linalg.svd(arrays["soft_iron"], compute_uv=False)
+    if not singular_values[2] * _LARGEST_CONDITION_NUMBER > singular_values[0]:
+        raise MagycError(
+            f"soft_iron is singular or nearly so, and cannot be applied: its singular values are "
+            f"{singular_values.tolist()}"
+        )
+    _check_number("delay", calibration.delay, -math.inf)
+    for name in ("delay_sigma", "field_strength"):
+        if getattr(calibration, name) is not None:
+            _check_number(name, getattr(calibration, name), 0.0)
+    for sensor, value in calibration.noise.items():
+        _check_number(f"noise of {sensor}", value, 0.0)
+    if not all(isinstance(term, Term) for term in calibration.terms):
+        raise MagycError(f"terms must be a tuple of Term, got {shortened(calibration.terms)!r}")
+    if calibration.trusted:
+        _check_possible(calibration, arrays, float(np.cbrt(np.prod(singular_values))))
+    return arrays
 
 
 def warn_if_implausible(field: Array) -> None:
@@ -89,21 +98,28 @@ def warn_if_implausible(field: Array) -> None:
         )
 
 
-def _check_soft_iron(value: Array, in_counts: bool) -> None:
-    singular_values = np.linalg.svd(value, compute_uv=False)
-    if not singular_values[2] * _LARGEST_CONDITION_NUMBER > singular_values[0]:
-        raise MagycError(f"soft_iron is singular or nearly so: its singular values are {singular_values.tolist()}")
-    scale = float(np.prod(singular_values)) ** (1 / 3)
-    low, high = _SCALE_RANGE
-    if not in_counts and not low <= scale <= high:
-        raise MagycError(f"soft_iron must scale the field by {low:g} to {high:g}, got {scale:g}")
+def _check_covariance(name: str, covariance: Array) -> None:
+    if np.abs(covariance - covariance.T).max() > _ASYMMETRY * np.abs(covariance).max():
+        raise MagycError(f"{name} must be a symmetric matrix")
+    if (np.diag(covariance) < 0).any():
+        raise MagycError(f"{name} has negative variances on its diagonal")
 
 
-def _check_number(name: str, value: Any, low: float, high: float) -> None:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not low <= value <= high
-        or value == math.inf
-    ):
-        raise MagycError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
+def _check_possible(calibration: Any, arrays: Mapping[str, Array], scale: float) -> None:
+    """Raise a MagycError if no instrument has the values of a calibration whose soft iron has a mean `scale`."""
+    limits = {"gyro_bias": (_LARGEST_RATE, "rad/s"), "delay": (_LONGEST_DELAY, "s")}
+    if calibration.configuration.get("magnetic_field_unit") != "counts":
+        limits |= {"hard_iron": (FIELD_RANGE, "T"), "field_strength": (FIELD_RANGE, "T")}
+        low, high = _SCALE_RANGE
+        if not low <= scale <= high:
+            raise MagycError(f"soft_iron must scale the field by {low:g} to {high:g}, got {scale:g}")
+    for name, (limit, unit) in limits.items():
+        value = arrays.get(name, getattr(calibration, name))
+        if value is not None and np.abs(value).max() > limit:
+            raise MagycError(f"{name} must be at most {limit:g} {unit}, got {np.asarray(value).tolist()}")
+
+
+def _check_number(name: str, value: Any, low: float) -> None:
+    if not is_finite(value) or value < low:
+        least = "" if low == -math.inf else f" of at least {low:g}"
+        raise MagycError(f"{name} must be a finite number{least}, got {shortened(value)!r}")

@@ -216,8 +216,6 @@ def calibrate(
             result = replace(result, converged=False, message=f"{doubt}; {result.message}")
     if usable.clipped is not None:
         result = replace(result, converged=False, message=f"{usable.clipped.sentence}; {result.message}")
-    if counts:
-        result = replace(result, configuration={**result.configuration, "magnetic_field_unit": "counts"})
     return result.made_from(recording)
 
 

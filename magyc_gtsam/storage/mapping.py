@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
@@ -162,24 +161,3 @@ def json_types(value: Any) -> Any:
         return [json_types(each) for each in value]
     to_dict = getattr(value, "to_dict", None)
     return value if to_dict is None else json_types(to_dict())
-
-
-def numbers(name: str, value: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return `value` as a float64 array.
-
-    Raises:
-        MagycError: it holds anything but numbers; text and booleans are not converted.
-    """
-    try:
-        array = np.array(value)
-        if array.dtype.kind not in "iuf" or _holds_booleans(value):
-            raise TypeError
-        return array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise MagycError(f"{name} must be numbers, got {shortened(value)}") from None
-
-
-def _holds_booleans(value: Any) -> bool:
-    if isinstance(value, list | tuple):
-        return any(map(_holds_booleans, value))
-    return isinstance(value, bool | np.bool_)

@@ -23,10 +23,11 @@ from magyc_gtsam.estimators.ellipsoid.m_estimate import time_blocks
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import UNKNOWNS, symmetric_root
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.kernels import kernel as kernel_of
+from magyc_gtsam.factors.numbers import numbers
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array, Mask, Recording, Samples
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
-from magyc_gtsam.storage.mapping import dump_yaml, load_mapping, numbers
+from magyc_gtsam.storage.mapping import dump_yaml, load_mapping
 from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import write_text
 
@@ -67,6 +68,15 @@ class AccelerometerCalibration:
     method: str = "autocal"
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     configuration: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, shape in {"scale": (3, 3), "bias": (3,), "covariance": (9, 9)}.items():
+            if name == "covariance" and self.covariance is None:
+                continue
+            array = numbers(name, getattr(self, name))
+            if array.shape != shape or not np.isfinite(array).all():
+                raise MagycError(f"{name} must be {shape} finite numbers, got {shortened(array.tolist())}")
+            object.__setattr__(self, name, array)
 
     def apply(self, acceleration: ArrayLike) -> Array:
         """Return scale⁻¹ (acceleration − bias), of the shape (N, 3) or (3,) m/s² of the input."""
@@ -110,9 +120,6 @@ class AccelerometerCalibration:
         if data.pop("format", None) != _FORMAT:
             raise MagycError(f"{path}: not the calibration of an accelerometer")
         try:
-            for name in ("scale", "bias", "covariance"):
-                if data.get(name) is not None:
-                    data[name] = numbers(name, data[name])
             return cls(**data)
         except MagycError as error:
             raise MagycError(f"{path}: {error}") from None

@@ -193,7 +193,8 @@ def to_calibration(
         observability=observability,
         diagnostics={"samples": len(samples.value)} | dict(ellipsoid.diagnostics),
         configuration=dict(configuration or {})
-        | ({} if field_strength is None else {"field_strength": field_strength}),
+        | ({} if field_strength is None else {"field_strength": field_strength})
+        | ({"magnetic_field_unit": "counts"} if recording.magnetic_field_unit == "counts" else {}),
     )
 
 
@@ -272,8 +273,8 @@ def _assessed(
         return sigma, None, np.zeros(UNKNOWNS)
     inverse = np.linalg.inv(information)
     score = slope * (trust * residual)[:, None]
-    covariance = inverse @ (score.T @ score) @ inverse * len(samples) / freedom
-    return sigma, covariance, -step
+    moved = score @ inverse  # of the estimate by each sample
+    return sigma, moved.T @ moved * len(samples) / freedom, -step
 
 
 def _information(slope: Array, weight: Array) -> Array | None:
