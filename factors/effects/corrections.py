@@ -118,14 +118,6 @@ def corrected_field(
     return turn.T @ field
 
 
-def shifted(time: Array, field: Array, terms: Sequence[Term]) -> Array:
-    """Return the field (3, n) at the time of the gyroscope's samples, shifted by the delay of the `timing` terms."""
-    late = sum(float(term.value[0]) for term in terms if term.name == "timing")
-    if late == 0:
-        return field
-    return np.stack([np.interp(time + late, time, axis) for axis in field])
-
-
 def _to_sensor(signals: Signals) -> Array:
     """Return the rotation (3, 3, n) from the integrated world to the sensor, with the identity at the first sample."""
     track = GyroscopeTrack.integrate(signals.time, signals.need("rate").T)

@@ -16,9 +16,7 @@ def lag_of(calibration: Calibration) -> float:
 def calibrated(calibration: Calibration, recording: Recording) -> Recording:
     """Return a recording with calibrated field and, if the calibration has a bias, angular rate.
 
-    Each value stays at its stamp, that of a magnetometer that lags too; `without_lag` takes the lag from the stamps.
-    `Calibration.apply` instead interpolates to the rows that it is given, which smooths the field and correlates its
-    noise.
+    Each value stays at its stamp; `without_lag` takes the lag of the magnetometer from its stamps.
 
     Raises:
         MagycError: a term needs a signal that the recording lacks.
@@ -29,8 +27,7 @@ def calibrated(calibration: Calibration, recording: Recording) -> Recording:
     rate = recording.angular_rate
     if rate is not None and calibration.gyro_bias is not None:
         rate = calibration.apply_gyroscope(recording)
-    still = replace(calibration, terms=tuple(term for term in calibration.terms if term.name != "timing"))
-    return replace(recording, magnetic_field=still.apply(recording), angular_rate=rate)
+    return replace(recording, magnetic_field=calibration.apply(recording), angular_rate=rate)
 
 
 def without_lag(recording: Recording, lag: float) -> Recording:

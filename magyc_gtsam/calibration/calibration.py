@@ -17,7 +17,7 @@ from magyc_gtsam.calibration.limits import checked, warn_if_implausible
 from magyc_gtsam.calibration.serialization import as_mapping, as_text, constructor_arguments
 from magyc_gtsam.calibration.signals import as_signals, given_signals, vectors
 from magyc_gtsam.export import do_not_use, export, parts_of
-from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate, shifted
+from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
@@ -81,17 +81,20 @@ class Calibration:
             raise MagycError(f"calibration: {problem}") from None
         for name, array in arrays.items():
             put(self, name, array)
+        put(self, "converged", bool(self.converged))
         for name in ("noise", "diagnostics", "configuration"):
             put(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def apply(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the calibrated field soft_iron⁻¹ (m − hard_iron), without the effects in `terms`.
 
+        Each value belongs to its reading. A delay of the magnetometer (a `timing` term) is an error of its stamps and
+        changes no value: the field of a reading is that at its stamp minus `delay`, as `magyc-gtsam apply` writes it.
+
         Args:
             magnetic_field: (N, 3) or (3,) T, or a whole recording, which holds the signals that `terms` need.
             signals: signals that `terms` need, unless a recording is given: time (N,) s, angular_rate and
-                acceleration (N, 3), channels {name: (N,) or (N, k)}. With `time`, a `timing` term is corrected too, by
-                interpolation, which correlates the noise; `calibrated.without_lag` moves the stamps instead.
+                acceleration (N, 3), channels {name: (N,) or (N, k)}.
 
         Returns:
             (N, 3) or (3,) T, as the input; with a `misalignment` or exchanged axes (`axis-order`) in the gyroscope's
@@ -118,10 +121,7 @@ class Calibration:
         at = as_signals(len(rows), given)
         if at.rate is not None and self.gyro_bias is not None:
             at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
-        field = corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at)
-        if given.get("time") is not None:
-            field = shifted(at.time, field, self.terms)
-        return field.T.reshape(m.shape)
+        return corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at).T.reshape(m.shape)
 
     def apply_gyroscope(self, angular_rate: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the calibrated angular rate w − gyro_bias, without the effects in `terms`.

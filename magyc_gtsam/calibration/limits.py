@@ -23,7 +23,7 @@ _SCALE_RANGE = (1e-3, 1e3)  # geometric mean of the soft iron's singular values
 _PLAUSIBLE_FIELD = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with a factor 2.5 for the scale
 _ASYMMETRY = 1e-6  # largest asymmetry of a covariance, relative to its largest element
 _KINDS = {
-    "converged": (bool, "true or false"),
+    "converged": (bool | np.bool_, "true or false"),
     "message": (str, "text"),
     "method": (str, "text"),
     "terms": (tuple, "a tuple of Term"),

@@ -56,7 +56,8 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
     recording = _prepared(recording, calibration)
     problem = Problem.of(recording, preintegrate(recording, RULES.window))
     twin = _own_bias(problem, as_model(problem, calibration))
-    return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
+    tried = replace(calibration, gyro_bias=twin.model.parameters[_BIAS], converged=False)  # with any bias
+    return measure(twin, tried)
 
 
 def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from magyc_gtsam.calibration.calibrated import calibrated, lag_of, without_lag
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
 from magyc_gtsam.gap.result import Gap
@@ -48,16 +49,18 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
     values = [("before", "raw", gap.base)]
     if gap.after is not gap.before:
         values.append(("after", "calibrated", gap.calibration))
-    time = recording.time - origin(recording)
-    series, middle = [], time
+    series, middle = [], recording.time - origin(recording)
     for label, colour, calibration in values:
         try:
-            error = np.degrees(heading_error(calibration.apply(recording), recording.attitude))
+            corrected = without_lag(calibrated(calibration, recording), lag_of(calibration))
         except (
             MagycError
         ):  # the calibration has a term that needs a channel which this recording lacks, so there is no curve
             continue
-        middle, mean, low, high = summary(time, error, MOST_BINS)
+        assert corrected.attitude is not None
+        rows = corrected.magnetic_field_fresh
+        error = np.degrees(heading_error(corrected.magnetic_field[rows], corrected.attitude[rows]))
+        middle, mean, low, high = summary(corrected.time[rows] - origin(recording), error, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))
     frame = clock(recording, middle, "Heading error (°)", levels=[0.0])
     return [chart("Heading against the reference", "The mean is removed.", middle, series, frame)]
