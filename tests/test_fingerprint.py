@@ -30,13 +30,33 @@ def test_parts_copies_and_merged_rows_are_recognised() -> None:
     assert not any(shares(mg.simulate("wide", seed=seed).recording, whole) for seed in range(2, 12))
 
 
-def test_coarse_readings_at_rest_are_not_taken_for_each_other() -> None:
+def test_copies_in_another_precision_are_recognised() -> None:
+    """Of single precision, and of text with digits down to 10 nT."""
+    for seed in range(5):
+        whole = mg.simulate("wide", 300, seed=seed).recording
+        field = whole.magnetic_field
+        for copy in (
+            field.astype(np.float32),
+            np.round(field * 1e4, 6) / 1e4,
+            np.round(field, 9),
+            np.round(field, 8),
+        ):
+            assert shares(mg.Recording(whole.time, copy), whole)
+        assert shares(mg.Recording(whole.time[:500], field[:500].astype(np.float32)), whole)
+
+
+@pytest.mark.parametrize(("noise", "step"), [(0.1, 0.15), (0.1, 1e-6), (0.02, 0.013), (0.01, 1e-6)])
+def test_readings_at_rest_are_not_taken_for_each_other(noise: float, step: float) -> None:
+    """Coarse or quiet, alone or before a motion."""
     random, time = np.random.default_rng(0), np.arange(3000) / 50
-    rests = []
+    recordings = []
     for _ in range(10):
-        field = np.array([20.0, 5.0, 40.0]) + random.normal(0, 0.1, (3000, 3))
-        rests.append(mg.Recording(time, np.round(field / 0.15) * 0.15e-6))
-    assert not any(shares(*pair) for pair in pairwise(rests))
+        turn = np.cumsum(random.normal(0, 0.02, (1000, 3)), axis=0)
+        rest = np.array([20.0, 5.0, 40.0]) + random.normal(0, noise, (3000, 3))
+        rest[2000:] += 20 * np.sin(turn)
+        field = np.round(rest / step) * step * 1e-6
+        recordings += [mg.Recording(time, field), mg.Recording(time[:2000], field[:2000])]
+    assert not any(shares(*pair) for pair in zip(recordings, recordings[2:], strict=False))
 
 
 def test_no_simulation_of_the_recording_itself() -> None:
