@@ -117,6 +117,18 @@ def test_a_matrix_that_is_off_is_noticed_on_wide_motion(earlier, percent):
     assert calibrate(recording, prior=earlier, soft_iron_walk=0.01, misalignment=0).trusted
 
 
+@pytest.mark.parametrize("walk", [0.0, 50e-6])
+def test_a_strength_that_the_prior_and_the_motion_contradict_is_said(strength, walk):
+    """By 10 %, which moved the vertical hard iron of a ship by 6 µT without a word."""
+    scaled = calibrate(simulate("wide", seed=998).recording, field_strength=strength)
+    recording = simulate("ship", seed=9).recording
+    for factor in (0.9, 1.0, 1.1):
+        told = calibrate(recording, prior=scaled, hard_iron_walk=walk, field=(factor * strength, None))
+        assert told.trusted == (factor == 1.0), told.message
+        there = f"{1e6 * factor * strength:.1f} µT at the place"
+        assert (there in told.message) == ("(field=, hard_iron_walk=)" in told.message) == (factor != 1.0)
+
+
 def test_the_strength_sets_the_scale_with_its_sigma(strength):
     recording = simulate("wide", seed=3).recording
     calibration = calibrate(recording, field=((40e-6, 400e-9), None))

@@ -11,8 +11,9 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.dip import dip_of, known_dip
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
-from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
+from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, PlaceField, SmootherOptions
 from magyc_gtsam.estimators.smoother.skew import on_skew
+from magyc_gtsam.estimators.smoother.vertical import MODEL
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.facts import Fact, IronFact, LinearFact, StrengthFact, field_strength, quadratic
 from magyc_gtsam.factors.chain.rotations import Array
@@ -61,7 +62,7 @@ def known_of(options: SmootherOptions) -> PriorKnowledge:
     facts: list[Fact] = [IronFact(shape, np.array(prior.hard_iron), root)]
     note = ""
     place = options.place
-    if place is not None:
+    if place is not None and place.strength is not None:
         relative = math.sqrt(max(float(slope @ covariance[:6, :6] @ slope), 0.0)) / scale
         if not _scaled(prior):
             # Its scale is the instrument's own; it is known as well as its field strength agrees with the place's.
@@ -164,6 +165,35 @@ def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
     return [f"the data contradict the earlier calibration: {named}; {remedy} ({' and '.join(walks)})"]
 
 
+def strength_fact(options: SmootherOptions) -> StrengthFact | None:
+    """Return the fact on the strength of the field, which only a prior of a known scale makes useful; else None."""
+    return next((fact for fact in known_of(options).facts if isinstance(fact, StrengthFact)), None)
+
+
+def strength_contradiction(without: Calibration, fact: StrengthFact, place: PlaceField) -> list[str]:
+    """Return a sentence if the strength of the field contradicts the earlier calibration and the data, or nothing.
+
+    Args:
+        without: the calibration of the recording with the prior, but without the fact; its soft iron is scaled to the
+            strength at the place, as if that had no error.
+        fact: of the scale that the prior gives to the strength.
+        place: where the strength is known.
+    """
+    assert without.covariance is not None
+    assert place.strength is not None
+    ratio, slope = field_strength(vech(without.soft_iron))
+    sigma = place.strength * math.sqrt(float(slope @ without.covariance[:6, :6] @ slope))
+    away = (place.strength * ratio - fact.mean) / math.hypot(sigma, fact.sigma)
+    if abs(away) < MODEL.contradicts:
+        return []
+    shown, there = 1e6 * place.strength / fact.mean, 1e6 * place.strength
+    return [
+        f"the field is {shown * place.strength * ratio:.1f} ± {shown * sigma:.2g} µT strong by the earlier "
+        f"calibration, {there:.1f} µT at the place ({abs(away):.1f} sigmas): omit the place, as the field indoors and "
+        "beside iron is not the world's, or allow for a change of the iron (field=, hard_iron_walk=)"
+    ]
+
+
 def _difference_text(k: int, away: float, sigma: float) -> str:
     if k < 6:
         return f"soft iron {_NAMES[k]} by {100 * away:+.2f} %, known to {100 * sigma:.2g} %"
@@ -203,7 +233,7 @@ def remedies(
         ("an earlier calibration, place and date", "prior=, field=", (matrix, place)),
     )
     if options.prior is not None:  # with the prior's scale known, the field strength is informative
-        known = options.place is not None or not _scaled(options.prior)
+        known = options.known_strength is not None or not _scaled(options.prior)
         ways = () if known else (("place and date", "field=", (place, *dip)),)
     facts_given = tuple(fact for fact in fit.chain.facts if not on_skew(fact))
     given = quadratic(facts_given, fit.state.parameters)[2]

@@ -24,9 +24,9 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class PlaceField:
-    """The field at the place: strength T and dip rad (below the horizontal), with sigmas; dip None if unknown."""
+    """The field at the place: strength T and dip rad (below the horizontal), with sigmas; None if not to be used."""
 
-    strength: float
+    strength: float | None
     strength_sigma: float
     dip: float | None
     dip_sigma: float
@@ -61,7 +61,7 @@ class SmootherOptions:
         prior: an earlier calibration of the same instrument, with covariance (or the result of its `to_dict`).
         hard_iron_walk: T, standard deviation of the change of each axis of the hard iron since the prior.
         soft_iron_walk: standard deviation of the change of each element of the soft iron (determinant 1) since.
-        field: (strength T, dip rad) at the place, or ((strength, sigma), (dip, sigma)); the dip may be None. The
+        field: (strength T, dip rad) at the place, or ((strength, sigma), (dip, sigma)); either may be None. The
             strength sets the scale of the soft iron and, with a prior, informs the fit; the dip informs the fit if the
             recording has an accelerometer or an attitude.
         heading: name of the channel that holds the heading of the sensor's x axis, degrees clockwise from north, or
@@ -150,14 +150,14 @@ class SmootherOptions:
         except (TypeError, ValueError):
             raise wrong from None
         check_field_strength(strength)
-        if strength is None:
+        if strength is None and dip is None:
             raise wrong
         _number("field: the sigma of the strength", sigma, 0.0, 1e-4, "T")
         if dip is not None:
             _number("field: the dip", dip, -np.pi / 2 - 1e-9, np.pi / 2 + 1e-9, "rad")
             _number("field: the sigma of the dip", dip_sigma, 0.0, np.pi, "rad")
             dip = float(dip)
-        return PlaceField(float(strength), float(sigma), dip, float(dip_sigma))
+        return PlaceField(None if strength is None else float(strength), float(sigma), dip, float(dip_sigma))
 
     @property
     def known_heading(self) -> KnownHeading | None:
@@ -183,7 +183,7 @@ class SmootherOptions:
     def strength_sigma(self) -> float:
         """T, standard deviation of `known_strength`."""
         place = self.place
-        return 0.0 if place is None else place.strength_sigma
+        return 0.0 if place is None or place.strength is None else place.strength_sigma
 
     @property
     def configuration(self) -> Mapping[str, Any]:

@@ -8,6 +8,7 @@ them, three misalignment angles between the two chips. The user supplies no star
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -25,7 +26,13 @@ from magyc_gtsam.estimators.smoother.gyroscope_scale import scale_of, with_scale
 from magyc_gtsam.estimators.smoother.instrument_change import instrument_change
 from magyc_gtsam.estimators.smoother.iron_change import disturbed_stretches, hard_iron_change
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
-from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
+from magyc_gtsam.estimators.smoother.known import (
+    contradictions,
+    known_of,
+    remedies,
+    strength_contradiction,
+    strength_fact,
+)
 from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import Streams
@@ -97,15 +104,21 @@ def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
 
 
 def _contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
-    """Return where a fit without the earlier calibration contradicts it."""
+    """Return where the data without it contradict the earlier calibration, or both the strength of the field."""
     if options.prior is None:
         return []
-    alone = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
-    try:
-        fit, rival = fit_field_chain(recording, alone)
-    except MagycError:  # without the prior the data do not determine a calibration
-        return []
-    return contradictions(calibration_of(recording, fit, rival, alone), options)
+    found: list[str] = []
+    with suppress(MagycError):  # without the prior the data do not determine a calibration
+        alone = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
+        found += contradictions(_of(recording, alone), options)
+    fact, place = strength_fact(options), options.place
+    if fact is not None and place is not None:
+        with suppress(MagycError):  # likewise without the strength
+            dip = None if place.dip is None else (place.dip, place.dip_sigma)
+            fit, rival = fit_field_chain(recording, replace(options, field=dip and (None, dip)))
+            scaled = replace(options, field=None, field_strength=place.strength)
+            found += strength_contradiction(calibration_of(recording, fit, rival, scaled), fact, place)
+    return found
 
 
 def posterior(fit: Fit, factor: float) -> Posterior:
