@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.estimators import calibrate
-from magyc_gtsam.history.log_factor import HARD_IRON, MICROTESLA, SIZE, LogFactor, compress
+from magyc_gtsam.history.log_factor import HARD_IRON, MICROTESLA, MILLIRADIAN, SIZE, LogFactor, compress
 from magyc_gtsam.history.model import DAY
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import simulate
@@ -32,6 +32,7 @@ class SeasonPlan:
         jump: length of each jump, µT.
         wrecks: number of dives near a wreck, with a soft iron off by some 3 % and a hard iron by some 5 µT per axis.
         wrong_units: number of dives that were refused for their unit.
+        bias_scatter: scatter of the gyroscope bias from dive to dive, mrad/s.
     """
 
     dives: int = 60
@@ -40,16 +41,19 @@ class SeasonPlan:
     jump: float = 4.0
     wrecks: int = 1
     wrong_units: int = 1
+    bias_scatter: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Season:
-    """The dives and the truth: shape (5,), hard iron (k, 3) T and of the next dive, and the dives of each event."""
+    """The dives and the truth: shape (5,), hard iron (k, 3) T and of the next dive, mean bias (3,) rad/s, and the
+    dives of each event."""
 
     factors: tuple[LogFactor, ...]
     shape: Array
     hard_iron: Array
     next_hard_iron: Array
+    bias: Array
     jumps: tuple[int, ...]
     wrecks: tuple[int, ...]
     wrong_units: tuple[int, ...]
@@ -81,7 +85,7 @@ def draw_season(seed: int, dives: Sequence[LogFactor], plan: SeasonPlan | None =
         truth[k] = hard_iron
         kind = dives[int(rng.integers(len(dives)))]
         assert kind.covariance is not None
-        mean = np.concatenate([shape, hard_iron, bias + rng.normal(0, 1.0, 3)])
+        mean = np.concatenate([shape, hard_iron, bias + rng.normal(0, plan.bias_scatter, 3)])
         mean += np.linalg.cholesky(kind.covariance + 1e-15 * np.eye(SIZE)) @ rng.normal(size=SIZE)
         if k in wrecks:
             mean[:5] += rng.normal(0, 0.03, 5)
@@ -91,4 +95,13 @@ def draw_season(seed: int, dives: Sequence[LogFactor], plan: SeasonPlan | None =
             factor = replace(factor, mean=None, covariance=None, problem="likely the unit is another")
         factors.append(factor)
     ahead = hard_iron + rng.normal(0, plan.walk * np.sqrt(np.median(np.diff(day))), 3)
-    return Season(tuple(factors), shape, truth * MICROTESLA, ahead * MICROTESLA, jumps, wrecks, wrong_units)
+    return Season(
+        tuple(factors),
+        shape,
+        truth * MICROTESLA,
+        ahead * MICROTESLA,
+        bias * MILLIRADIAN,
+        jumps,
+        wrecks,
+        wrong_units,
+    )

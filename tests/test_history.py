@@ -244,6 +244,20 @@ def test_two_instruments_are_told_apart(dives: tuple[LogFactor, ...]) -> None:
     assert right >= 9
 
 
+@pytest.mark.parametrize("scatter", [0.5, 8.0])
+def test_a_bias_that_scatters_is_no_other_instrument(dives: tuple[LogFactor, ...], scatter: float) -> None:
+    """The logs show by how much, and the bias of the next log has this sigma."""
+    plan, away = SeasonPlan(dives=8, jumps=0, wrecks=0, wrong_units=0, bias_scatter=scatter), []
+    for seed in range(20, 32):
+        season = draw_season(seed, dives, plan)
+        history = History(season.factors)
+        assert len(history.groups) == 1
+        assert history.next.gyro_bias is not None
+        following = season.bias + np.random.default_rng(seed).normal(0, 1e-3 * scatter, 3)
+        away.append((history.next.gyro_bias - following) / history.next.sigma["gyro_bias"])
+    assert 0.6 < np.square(away).mean() < 1.6  # χ² of 36 over 36, 99 %
+
+
 def test_two_vague_logs_of_another_instrument_are_found_together() -> None:
     """Each alone would rather join the three sure ones; of one unit they are only where both leave at once."""
 

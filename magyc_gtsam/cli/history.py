@@ -109,10 +109,9 @@ def run(
 def _refuse_twice(factors: Sequence[LogFactor], before: History) -> None:
     """Raise a MagycError for a log that is in the history already and would count twice."""
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.history.counted_once import same_samples
 
     for factor in factors:
-        known = same_samples(factor, before.factors)
+        known = before.counted.same_samples(factor)
         if known is not None:
             called = "" if known.name == factor.name else f" as {known.name}"
             raise MagycError(f"{factor.name}: its samples are in the history already{called}; leave it out")

@@ -6,29 +6,43 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from magyc_gtsam.history.log_factor import LogFactor
-from magyc_gtsam.recording.fingerprint import first_shared
+from magyc_gtsam.recording.fingerprint import first_shared, hashes_of
 
 
-def counted_once(factors: Sequence[LogFactor], before: Sequence[LogFactor]) -> list[LogFactor]:
-    """Return the factors without the information of those whose samples an earlier one has, under whatever name."""
-    result: list[LogFactor] = []
-    for factor in factors:
-        first = same_samples(factor, [*before, *result])
-        if first is not None:
-            problem = f"the same samples as {first.name}, which count once"
-            factor = replace(factor, mean=None, covariance=None, problem=problem)
-        result.append(factor)
-    return result
+class CountedLogs:
+    """Logs in the order in which they came, to find one with the same samples in time independent of their number."""
 
+    def __init__(self) -> None:
+        self._logs: list[LogFactor] = []
+        self._with: dict[
+            int | bytes, list[int]
+        ] = {}  # by hash of samples, and by mean; earlier versions had no hashes
 
-def same_samples(factor: LogFactor, others: Sequence[LogFactor]) -> LogFactor | None:
-    """Return the first of other logs that counts samples of a log; None if none does."""
-    if factor.mean is None:  # a log without a calibration counts none
+    def same_samples(self, factor: LogFactor) -> LogFactor | None:
+        """Return the first log that counts samples of another one; None if none does."""
+        near = sorted({i for key in _keys(factor) for i in self._with.get(key, ())})
+        for log in (self._logs[i] for i in near):
+            if log.mean is not None and factor.mean is not None:
+                shared = first_shared(factor.samples, [log.samples]) is not None
+                if shared or log.mean.tobytes() == factor.mean.tobytes():
+                    return log
         return None
-    fitted = factor.mean.tobytes()  # histories of earlier versions have no fingerprints
-    for other in others:
-        if other.mean is not None:
-            shared = first_shared(factor.samples, [other.samples]) is not None
-            if shared or other.mean.tobytes() == fitted:
-                return other
-    return None
+
+    def take(self, factors: Sequence[LogFactor]) -> list[LogFactor]:
+        """Return the factors without the information of those whose samples an earlier one has, and keep the others."""
+        result: list[LogFactor] = []
+        for factor in factors:
+            first = self.same_samples(factor)
+            if first is not None:
+                problem = f"the same samples as {first.name}, which count once"
+                factor = replace(factor, mean=None, covariance=None, problem=problem)
+            for key in _keys(factor):
+                self._with.setdefault(key, []).append(len(self._logs))
+            self._logs.append(factor)
+            result.append(factor)
+        return result
+
+
+def _keys(factor: LogFactor) -> list[int | bytes]:
+    """Return what a log shares with another one of the same samples; a log without a calibration counts none."""
+    return [] if factor.mean is None else [factor.mean.tobytes(), *hashes_of(factor.samples).tolist()]

@@ -1,9 +1,9 @@
 """Grouping of logs by instrument, by the evidence of the parameters that an instrument keeps.
 
-An instrument keeps its soft iron, misalignment, gyroscope scale and bias up to a scatter, and its hard iron unless
-iron was moved. A log joins the group that predicts it best, or starts a new group where "another instrument" predicts
-it better. Logs are removed and assigned again until nothing changes, and groups are split where that is likelier (the
-moves of Neal 2000, algorithm 3, and of Jain and Neal 2004, at zero temperature).
+An instrument keeps its soft iron, misalignment, gyroscope scale and bias up to a scatter, that of the bias as its logs
+show it, and its hard iron unless iron was moved. A log joins the group that predicts it best, or starts a new group
+where "another instrument" predicts it better. Logs are removed and assigned again until nothing changes, and groups are
+split where that is likelier (the moves of Neal 2000, algorithm 3, and of Jain and Neal 2004, at zero temperature).
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.history.bias_scatter import log_prior
 from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.history.gaussian import log_density
 from magyc_gtsam.history.log_factor import LogFactor
-from magyc_gtsam.history.log_statistics import STAYED, Group, LogStatistics
+from magyc_gtsam.history.log_statistics import STAYED, Evidence, Group, LogStatistics
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
@@ -41,6 +42,7 @@ class Grouping:
             np.r_[np.full(SHAPE, shape), np.repeat([model.gyroscope_scale, model.bias, model.skew], 3)] ** -2.0
             for shape, _ in (model.raw, model.calibrated)
         ]
+        self._scatters = log_prior(model)
         self._groups: list[Group] = []
         self._group_of: dict[int, Group] = {}
         self._count = len(factors)
@@ -113,7 +115,7 @@ class Grouping:
         """
         if len(group.logs) < _WORTH_SPLITTING:
             return
-        before, evidence = [(list(g.logs), g.information, g.weighted) for g in self._groups], self._evidence()
+        before, evidence = [(list(g.logs), g.kept) for g in self._groups], self._evidence()
         fits = self._fit(group.logs, group)
         least = int(np.argmin(fits))
         weakest, worst = group.logs[least], float(fits[least])
@@ -131,37 +133,28 @@ class Grouping:
 
     def _evidence(self) -> float:
         """Return the log evidence of this grouping from the kept parameters, nats."""
-        each = [
-            self._together(g.information, g.weighted) + self._model.same * (len(g.logs) - 1) for g in self._groups
-        ]
-        empty = Group()
-        return float(sum(each) - len(each) * self._together(empty.information, empty.weighted))
+        each = [self._together(g.kept) + self._model.same * (len(g.logs) - 1) for g in self._groups]
+        return float(sum(each) - len(each) * self._together(Evidence.nothing()))
 
     def _fit(self, logs: Sequence[int], group: Group, *, inside: bool = True) -> Array:
         """Return the nats (n,) by which logs' kept parameters are likelier with a group than alone.
 
         With `inside`, the logs belong to the group and are compared with its other logs.
         """
-        rows = [self._row[i] for i in logs]
-        information, weighted = self._statistics.information[rows], self._statistics.weighted[rows]
-        others, of_others = group.information, group.weighted
-        if inside:
-            others, of_others = others - information, of_others - weighted
-        together = self._together(others + information, of_others + weighted) - self._together(others, of_others)
-        nothing = Group()
-        alone = self._together(information, weighted) - self._together(nothing.information, nothing.weighted)
-        fit: Array = together - alone
+        own = self._statistics.kept.of([self._row[i] for i in logs])
+        others = group.kept.plus(own, -1) if inside else group.kept
+        together = self._together(others.plus(own)) - self._together(others)
+        fit: Array = together - (self._together(own) - self._together(Evidence.nothing()))
         return fit
 
     def _take_out(self, i: int) -> None:
         group = self._group_of.pop(i)
-        group.change(i, self._statistics.information[self._row[i]], self._statistics.weighted[self._row[i]], -1)
+        group.change(i, self._statistics.kept.of(self._row[i]), -1)
         if not group.logs:
             self._groups.remove(group)
 
     def _put(self, i: int, group: Group) -> None:
-        row = self._row[i]
-        group.change(i, self._statistics.information[row], self._statistics.weighted[row], 1)
+        group.change(i, self._statistics.kept.of(self._row[i]), 1)
         self._group_of[i] = group
 
     def _assign(self, i: int) -> None:
@@ -186,23 +179,20 @@ class Grouping:
 
     def _kept_given(self, row: int, group: Group) -> float:
         """Return the log density of a log's kept parameters given a group, up to a constant of the log."""
-        information, weighted = self._statistics.information[row], self._statistics.weighted[row]
-        with_it = self._together(group.information + information, group.weighted + weighted)
-        return float(with_it - self._together(group.information, group.weighted))
+        return float(self._together(group.kept.plus(self._statistics.kept.of(row))) - self._together(group.kept))
 
-    def _together(self, information: Array, weighted: Array) -> Array:
-        """Return the log density (…) of kept parameters of one instrument, whose true values are marginalised.
+    def _together(self, kept: Evidence) -> Array:
+        """Return the log density (…) of kept parameters of one instrument.
 
-        Args:
-            information, weighted: (…, k, k) information, and (…, k) information times mean.
+        Their true values and the scatter of the bias are marginalised.
         """
         values = []
         for prior in self._priors:
-            both = information + np.diag(prior)
-            mean = np.linalg.solve(both, weighted[..., None])[..., 0]
-            gain = (weighted * mean).sum(axis=-1) - np.linalg.slogdet(both)[1] + np.log(prior).sum()
-            values.append(0.5 * gain)
-        density: Array = np.logaddexp(*values)
+            both = kept.information + np.diag(prior)
+            mean = np.linalg.solve(both, kept.weighted[..., None])[..., 0]
+            gain = (kept.weighted * mean).sum(axis=-1) - np.linalg.slogdet(both)[1] + np.log(prior).sum()
+            values.append(kept.constant + 0.5 * gain + self._scatters)
+        density: Array = np.logaddexp.reduce(np.concatenate(values, axis=-1), axis=-1)
         return density
 
     def _iron_gain(self, row: int, group: Group) -> float:

@@ -15,7 +15,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
-from magyc_gtsam.history.counted_once import counted_once
+from magyc_gtsam.history.counted_once import CountedLogs
 from magyc_gtsam.history.forward import JUMPED, Bank
 from magyc_gtsam.history.grouping import Grouping
 from magyc_gtsam.history.instrument import Instrument, solve_instrument
@@ -44,6 +44,7 @@ class History:
         factors: the compressed information of each log.
         model: assumptions about the instrument between the logs.
         options: options of `calibrate` for logs that are added.
+        counted: the logs by their samples, which count once.
     """
 
     def __init__(
@@ -58,7 +59,8 @@ class History:
         """Solve compressed logs, continuing the groups and filters of an earlier history, if given."""
         self.options = dict(options or {})
         self.model = model or _model_for(self.options)
-        self.factors = _of_one_kind(counted_once(factors, ()))
+        self.counted = CountedLogs()
+        self.factors = _of_one_kind(self.counted.take(factors))
         self._grouping = Grouping(self.factors, self.model, groups)
         self._banks = tuple(banks)
         if not self.groups:
@@ -194,8 +196,9 @@ class History:
     def extend(self, factors: Sequence[LogFactor]) -> History:
         """Add logs that are already compressed, and return this history."""
         self._banks = self._filters
-        added = counted_once(factors, self.factors)
-        self.factors = _of_one_kind((*self.factors, *added))
+        _of_one_kind((*self.factors, *factors))
+        added = self.counted.take(factors)
+        self.factors = (*self.factors, *added)
         self._grouping.add(added)
         for name in ("_instruments", "calibrations", "next", "contradictions"):
             self.__dict__.pop(name, None)

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.history.bias_scatter import BIAS_SCATTERS
 from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.history.gaussian import log_density
 from magyc_gtsam.history.log_factor import HARD_IRON, MILLIRADIAN, SIZE, LogFactor
@@ -22,20 +24,46 @@ KEPT_SIZE = SHAPE + 9  # soft iron, gyroscope scale, gyroscope bias, misalignmen
 STAYED = 0.8  # share of an instrument's logs whose hard iron equals that of another of its logs
 
 
+class Evidence(NamedTuple):
+    """What logs say about the kept parameters, at each scatter of the gyroscope bias.
+
+    Attributes:
+        information, weighted: (…, g, k, k), (…, g, k) information, and information times mean.
+        constant: (…, g) nats, their log-likelihood at zero.
+    """
+
+    information: Array
+    weighted: Array
+    constant: Array
+
+    @classmethod
+    def nothing(cls) -> Evidence:
+        """Return the evidence of no log."""
+        count = len(BIAS_SCATTERS)
+        return cls(np.zeros((count, KEPT_SIZE, KEPT_SIZE)), np.zeros((count, KEPT_SIZE)), np.zeros(count))
+
+    def of(self, rows: int | Sequence[int]) -> Evidence:
+        """Return the evidence of some of the logs."""
+        return Evidence(*(each[rows] for each in self))
+
+    def plus(self, other: Evidence, sign: int = 1) -> Evidence:
+        """Return the sum with another evidence, or the difference (sign −1)."""
+        return Evidence(*(one + sign * two for one, two in zip(self, other, strict=True)))
+
+
 @dataclass(frozen=True, eq=False)
 class LogStatistics:
     """Statistics of logs, one row each.
 
     Attributes:
-        information, weighted: information on the kept parameters, and information times mean.
+        kept: what the logs say about the kept parameters.
         hard_iron, hard_iron_covariance: (k, 3) µT and (k, 3, 3).
         anywhere: (k,) log density of the hard iron among all instruments.
         most_hard_iron: (k,) nats, the largest gain that a comparison of hard irons can give.
         log_volume: (k,) log determinant of the covariance; smaller means more certain.
     """
 
-    information: Array
-    weighted: Array
+    kept: Evidence
     hard_iron: Array
     hard_iron_covariance: Array
     anywhere: Array
@@ -50,21 +78,23 @@ class LogStatistics:
         covariance = np.array([factor.covariance for factor in factors]).reshape(-1, size, size)
         held = np.r_[: size - 6, size - 3 : size]  # the kept parameters that a `LogFactor.mean` holds
         kept = np.r_[: size - 6, SHAPE + 3 : SHAPE + 6]  # their indices among all kept parameters
-        scale_scatter = np.full(size - 6 - SHAPE, model.gyroscope_scale_scatter)
-        scatter = np.diag(np.r_[np.full(SHAPE, model.scatter), scale_scatter, np.full(3, model.bias_scatter)] ** 2)
+        steady = np.r_[np.full(SHAPE, model.scatter), np.full(size - 6 - SHAPE, model.gyroscope_scale_scatter)]
+        scatter = np.array([np.r_[steady, np.full(3, each)] for each in BIAS_SCATTERS])
+        total = covariance[:, None, held[:, None], held] + scatter[:, :, None] ** 2 * np.eye(len(held))
         misalignment, misalignment_information = _misalignments(factors, model)
-        information = np.zeros((len(factors), KEPT_SIZE, KEPT_SIZE))
-        information[:, kept[:, None], kept] = np.linalg.inv(covariance[:, held[:, None], held] + scatter)
-        information[:, -3:, -3:] = misalignment_information
+        information = np.zeros((len(factors), len(BIAS_SCATTERS), KEPT_SIZE, KEPT_SIZE))
+        information[..., kept[:, None], kept] = np.linalg.inv(total)
+        information[..., -3:, -3:] = misalignment_information[:, None]
         every = np.zeros((len(factors), KEPT_SIZE))
         every[:, kept], every[:, -3:] = mean[:, held], misalignment
+        weighted = np.einsum("kgij,kj->kgi", information, every)
+        constant = -0.5 * (np.einsum("kgi,ki->kg", weighted, every) + np.linalg.slogdet(total)[1])
         iron, iron_covariance = mean[:, HARD_IRON], covariance[:, HARD_IRON, HARD_IRON]
         wide = [log_density(iron, iron_covariance + np.eye(3) * h**2) for _, h in (model.raw, model.calibrated)]
         anywhere = np.logaddexp(*wide) + np.log(0.5)
         peak = log_density(np.zeros(3), iron_covariance + np.eye(3) * model.hard_iron_scatter**2)
         return cls(
-            information,
-            np.einsum("kij,kj->ki", information, every),
+            Evidence(information, weighted, constant),
             iron,
             iron_covariance,
             anywhere,
@@ -74,25 +104,21 @@ class LogStatistics:
 
     def with_more(self, others: LogStatistics) -> LogStatistics:
         """Return these statistics followed by `others`."""
-        return LogStatistics(
-            *(np.concatenate([getattr(self, field.name), getattr(others, field.name)]) for field in fields(self))
-        )
+        names = [field.name for field in fields(self) if field.name != "kept"]
+        joined = (np.concatenate([getattr(self, name), getattr(others, name)]) for name in names)
+        return LogStatistics(Evidence(*map(np.concatenate, zip(self.kept, others.kept, strict=True))), *joined)
 
 
 class Group:
-    """Logs of one instrument, and the sums of their information on the kept parameters."""
+    """Logs of one instrument, and the sum of their evidence on the kept parameters."""
 
-    def __init__(
-        self, logs: Sequence[int] = (), information: Array | None = None, weighted: Array | None = None
-    ) -> None:
+    def __init__(self, logs: Sequence[int] = (), kept: Evidence | None = None) -> None:
         self.logs = list(logs)
-        self.information = np.zeros((KEPT_SIZE, KEPT_SIZE)) if information is None else information
-        self.weighted = np.zeros(KEPT_SIZE) if weighted is None else weighted
+        self.kept = Evidence.nothing() if kept is None else kept
 
-    def change(self, i: int, information: Array, weighted: Array, sign: int) -> None:
+    def change(self, i: int, kept: Evidence, sign: int) -> None:
         """Add log `i` (sign 1) or remove it (−1)."""
-        self.information = self.information + sign * information
-        self.weighted = self.weighted + sign * weighted
+        self.kept = self.kept.plus(kept, sign)
         if sign > 0:
             self.logs.append(i)
         else:

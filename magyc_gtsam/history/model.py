@@ -24,7 +24,10 @@ class HistoryModel:
             comparison of instruments (trials 1, 4 and 6 of BROAD: 0.4 %).
         scattered: prior share of the instruments whose logs scatter beyond their sigmas at all.
         before: relative and µT, deviations of soft and hard iron before the first log; phones have 400 µT.
-        bias_scatter: mrad/s, scatter of the gyroscope bias like `scatter` (trials 1, 4 and 6: 1.3).
+        bias_scatter: mrad/s, prior median of the scatter of the gyroscope bias from log to log (trials 1, 4 and
+            6: 1.3).
+        bias_scatter_spread: nats, deviation of its logarithm: a factor of 3, as 10 °C change a MEMS gyroscope by 3 to
+            10 mrad/s (0.02 to 0.05 °/s per °C).
         hard_iron_scatter: µT, scatter of the hard iron where it did not jump (0.06 to 0.3).
         raw, calibrated: (relative, µT), deviations of soft and hard iron between instruments as built, and between
             factory-calibrated ones, which are similar but not identical (BROAD: 0.8 % and 0.6 µT).
@@ -48,6 +51,7 @@ class HistoryModel:
     scattered: float = 0.1
     before: tuple[float, float] = (0.2, 1000.0)
     bias_scatter: float = 1.3
+    bias_scatter_spread: float = float(np.log(3.0))
     hard_iron_scatter: float = 0.3
     raw: tuple[float, float] = (0.05, 30.0)
     calibrated: tuple[float, float] = (0.01, 0.5)

@@ -10,6 +10,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import counted
+from magyc_gtsam.history.bias_scatter import predicted_bias
 from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
 from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, LogFactor, calibration_of
@@ -33,7 +34,7 @@ def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int
         others = _logs_used(factors, instrument) - 1
         message = f"with {counted(others, 'other log')} of the instrument" if others else "from this log alone"
     else:
-        mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, 0.0)
+        mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument)
         reason = factor.problem or "its readings contradict the other logs"
         message = f"from other logs of the instrument, this one is not used ({reason})"
     return _calibration(factors, instrument, mean, covariance, message, factor.field_strength)
@@ -42,7 +43,7 @@ def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int
 def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model: HistoryModel) -> Calibration:
     """Return the calibration for the next log: the last hard iron, its covariance widened by the walk, not by jumps."""
     mean, covariance = _without_bias(*instrument.ahead)
-    mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, model.bias_scatter)
+    mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument)
     strength = next(
         (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
     )
@@ -70,15 +71,12 @@ def _without_bias(mean: Array, covariance: Array) -> tuple[Array, Array]:
     return np.pad(mean, (0, 3)), np.pad(covariance, (0, 3))
 
 
-def _bias(factors: Sequence[LogFactor], instrument: Instrument, scatter: float) -> tuple[Array, Array]:
-    """Return mean (3,) and covariance (3, 3) of the logs' biases, with a scatter of at least `scatter` mrad/s."""
+def _bias(factors: Sequence[LogFactor], instrument: Instrument) -> tuple[Array, Array]:
+    """Return mean (3,) and covariance (3, 3) of the bias in another log of the instrument, mrad/s."""
     used = [factors[i] for k, i in enumerate(instrument.order) if instrument.label[k] != WRONG]
-    rows = np.array([factor.mean[GYRO_BIAS] for factor in used if factor.mean is not None])
-    known = [factor.covariance[GYRO_BIAS, GYRO_BIAS] for factor in used if factor.covariance is not None]
-    variance = np.mean(np.diagonal(known, axis1=1, axis2=2), axis=0) / len(rows) + scatter**2
-    if len(rows) > 2:
-        variance = np.maximum(variance, rows.var(axis=0, ddof=1) * (1 + 1 / len(rows)))
-    return rows.mean(axis=0), np.diag(variance)
+    mean = np.array([factor.mean[GYRO_BIAS] for factor in used if factor.mean is not None])
+    covariance = [factor.covariance[GYRO_BIAS, GYRO_BIAS] for factor in used if factor.covariance is not None]
+    return predicted_bias(mean, np.array(covariance), instrument.model)
 
 
 def _calibration(

@@ -77,9 +77,9 @@ def first_shared(own: str, others: Iterable[str]) -> str | None:
 
     A fingerprint of an earlier version, which cannot be compared, shares none.
     """
-    mine = _hashes(own)
+    mine = hashes_of(own)
     for other in others:
-        theirs = _hashes(other)
+        theirs = hashes_of(other)
         smallest = np.union1d(mine, theirs)[:_KEPT]
         shared = np.isin(smallest, mine) & np.isin(smallest, theirs)
         if shared.sum() >= min(_LEAST, len(smallest)) > 0:
@@ -132,7 +132,7 @@ def _mixed(parts: Iterable[Hashes]) -> Hashes:
     return np.asarray(total ^ (total >> np.uint64(32)))
 
 
-def _hashes(text: str) -> Hashes:
+def hashes_of(text: str) -> Hashes:
     """Return the hashes of a fingerprint, ascending; none for a text that is none."""
     try:
         data = np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
