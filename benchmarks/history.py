@@ -1,5 +1,6 @@
 """What a history says of simulated seasons, and what one more log costs. `python benchmarks/history.py [SEASONS]`.
 
+`python benchmarks/history.py shared [SEASONS]`: dives that have the same model error, in part or all of it.
 `python benchmarks/history.py scale [INSTRUMENTS]`: instruments whose gyroscope's scales are off, with and without an
 estimate of them.
 `python benchmarks/history.py FOLDER [SCALE]`: BROAD's trials, each against the others of its unit; SCALE is the
@@ -55,6 +56,24 @@ def seasons(count: int) -> None:
     print(f"NEES of the hard iron {np.mean(hard_iron):.2f} of 3")
     print(f"NEES of the next dive's hard iron {np.mean(ahead):.2f} of 3 ± {band * np.sqrt(3):.2f}")
     print(f"its 95 % interval holds {np.mean(covered):.1%}")
+
+
+def shared_errors(count: int) -> None:
+    """Print the NEES of the next dive's soft and hard iron where the dives share their model error or not."""
+    kinds = dive_factors(("wide", "moderate", "low", "tiny"))
+    for size in ((0.005, 0.5), (0.0005, 0.05)):
+        for share in (0.0, 0.5, 1.0):
+            for dives in (2, 5, 20, 60):
+                plan = SeasonPlan(dives, 0.1, 0, 0.0, 0, 0, model_error=size, shared=share)
+                squares = []
+                for seed in range(count):
+                    season = draw_season(10_000 + seed, kinds, plan)
+                    found = compress(History(season.factors).next, "", None)
+                    off = found.mean - np.r_[season.shape, season.next_hard_iron * 1e6, np.zeros(3)]
+                    parts = (slice(0, 5), HARD_IRON)
+                    squares.append([off[p] @ np.linalg.solve(found.covariance[p, p], off[p]) for p in parts])
+                nees = "{:.1f} of 5, {:.1f} of 3".format(*np.mean(squares, axis=0))
+                print(f"{size[0]:.2%}, {size[1]} µT, {share:.0%} shared, {dives} dives: soft and hard iron {nees}")
 
 
 def one_more(logs: int) -> None:
@@ -158,6 +177,8 @@ def dives_with_scale(seed: int) -> tuple[list[mg.Recording], np.ndarray]:
 if __name__ == "__main__":
     if len(sys.argv) > 1 and Path(sys.argv[1]).is_dir():
         left_out(Path(sys.argv[1]), {"gyroscope_scale": float(sys.argv[2])} if len(sys.argv) > 2 else {})
+    elif sys.argv[1:2] == ["shared"]:
+        shared_errors(int(sys.argv[2]) if len(sys.argv) > 2 else 40)
     elif sys.argv[1:2] == ["scale"]:
         scales(int(sys.argv[2]) if len(sys.argv) > 2 else 40)
     else:

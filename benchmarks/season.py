@@ -33,6 +33,8 @@ class SeasonPlan:
         wrecks: number of dives near a wreck, with a soft iron off by some 3 % and a hard iron by some 5 µT per axis.
         wrong_units: number of dives that were refused for their unit.
         bias_scatter: scatter of the gyroscope bias from dive to dive, mrad/s.
+        model_error: deviations, relative and µT, of an error of soft and hard iron beside that of the dives.
+        shared: share of its variance that is the same error in all dives.
     """
 
     dives: int = 60
@@ -42,6 +44,8 @@ class SeasonPlan:
     wrecks: int = 1
     wrong_units: int = 1
     bias_scatter: float = 1.0
+    model_error: tuple[float, float] = (0.0, 0.0)
+    shared: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +80,10 @@ def draw_season(seed: int, dives: Sequence[LogFactor], plan: SeasonPlan | None =
     wrong_units = tuple(sorted(events[plan.jumps + plan.wrecks :][: plan.wrong_units].tolist()))
     shape, bias, hard_iron = rng.normal(0, 0.05, 5), rng.normal(0, 10.0, 3), rng.normal(0, 20.0, 3)
     truth, factors = np.zeros((plan.dives, 3)), []
+    deviation = np.r_[np.repeat(plan.model_error, (5, 3)), np.zeros(3)]
+    turn = np.linalg.qr(rng.normal(size=(SIZE, SIZE)))[0]
+    root = deviation[:, None] * turn * rng.uniform(0.2, 1.5, SIZE)  # of the covariance of the model error
+    common, apart = np.sqrt(plan.shared) * rng.normal(size=SIZE), np.sqrt(1 - plan.shared)
     for k in range(plan.dives):
         if k:
             hard_iron = hard_iron + rng.normal(0, plan.walk * np.sqrt(day[k] - day[k - 1]), 3)
@@ -87,6 +95,8 @@ def draw_season(seed: int, dives: Sequence[LogFactor], plan: SeasonPlan | None =
         assert kind.covariance is not None
         mean = np.concatenate([shape, hard_iron, bias + rng.normal(0, plan.bias_scatter, 3)])
         mean += np.linalg.cholesky(kind.covariance + 1e-15 * np.eye(SIZE)) @ rng.normal(size=SIZE)
+        mean += root @ (common + apart * rng.normal(size=SIZE))
+        kind = replace(kind, covariance=kind.covariance + root @ root.T)
         if k in wrecks:
             mean[:5] += rng.normal(0, 0.03, 5)
             mean[HARD_IRON] += rng.normal(0, 5.0, 3)

@@ -1,9 +1,9 @@
 """Kalman filters over one instrument's logs in the order of time.
 
 Each log is labelled: the hard iron walked or jumped before it, or the log is wrong. A labelling, a walk and a scatter
-define one Kalman filter on (s, h). The bank keeps the `KEPT` likeliest labellings, each at every walk and scatter of
-a grid (a Gaussian sum filter with pruning, Alspach and Sorenson 1972, over multiple models, Magill 1965). A step
-takes constant time, and earlier logs are never filtered again.
+of the logs' errors define one Kalman filter on (s, h). The bank keeps the `KEPT` likeliest labellings, each at every
+walk and scatter of a grid (a Gaussian sum filter with pruning, Alspach and Sorenson 1972, over multiple models, Magill
+1965). A step takes constant time, and earlier logs are never filtered again.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.history.coordinates import SHAPE
@@ -27,9 +28,12 @@ KEPT = 8  # number of labellings that are kept
 WALKS = np.geomspace(
     0.02, 10.0, 16
 )  # µT per √day; neighbours differ by half, while sixty logs determine the walk to a tenth
-SCATTERS = np.array([0.0, 0.002, 0.005, 0.012, 0.03])  # relative scatter between logs
+# What the logs have beside the sensors' noise: the share of their model errors that is the same in all of them, so that
+# it neither makes them differ nor averages out, and the scatter of their soft irons beyond all that is stated.
+SCATTERS = np.array([(1.0, 0.0), (0.5, 0.0), (0.0, 0.0), (0.5, 0.002), (0.5, 0.005), (0.5, 0.012), (0.5, 0.03)])
 _CELLS = len(WALKS) * len(SCATTERS)
-WALK_OF_CELL, SCATTER_OF_CELL = np.repeat(WALKS, len(SCATTERS)), np.tile(SCATTERS, len(WALKS))
+WALK_OF_CELL = np.repeat(WALKS, len(SCATTERS))
+SHARED_OF_CELL, SCATTER_OF_CELL = np.tile(SCATTERS.T, len(WALKS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +110,10 @@ class Bank:
 def empty_bank(dated: bool, shared: int, model: HistoryModel) -> Bank:
     """Return the bank before the first log; `shared` is the number of parameters that all logs share."""
     weight = -0.5 * (np.log(WALK_OF_CELL / model.walk) / model.walk_spread) ** 2
-    scattered = model.scattered / (len(SCATTERS) - 1)
-    weight = weight + np.log(np.where(SCATTER_OF_CELL == 0, 1 - model.scattered, scattered))
+    partly = 0.5 * (1 - model.shared_error)
+    stated = (1 - model.scattered) * np.where(SHARED_OF_CELL == 1, model.shared_error, partly)
+    scattered = model.scattered / np.count_nonzero(SCATTERS[:, 1])
+    weight = weight + np.log(np.where(SCATTER_OF_CELL == 0, stated, scattered))
     size = shared + 3
     scale = np.full(shared - SHAPE, model.gyroscope_scale)
     wide = np.diag(np.r_[np.full(SHAPE, model.before[0]), scale, np.full(3, model.before[1])] ** 2)
@@ -132,7 +138,7 @@ def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: Hi
     if factor.mean is None or factor.covariance is None:
         label = np.hstack([bank.label, np.full((len(bank.label), 1), WALKED, dtype=np.int8)])
         return Bank(order, bank.dated, label, bank.weight, bank.mean, walked)
-    noise = observed_covariance(factor.covariance, model) + (SCATTER_OF_CELL**2)[:, None, None] * on_shape
+    noise = observed_covariance(factor, SHARED_OF_CELL, model) + (SCATTER_OF_CELL**2)[:, None, None] * on_shape
     innovation = factor.mean[OBSERVED] - bank.mean
     spoilt = model.wrong_shape**2 * on_shape + model.wrong_hard_iron**2 * on_iron
     prior = np.log([1 - model.jump_share - model.wrong_share, model.jump_share, model.wrong_share])
@@ -155,11 +161,19 @@ def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: Hi
     )
 
 
-def observed_covariance(covariance: Array, model: HistoryModel) -> Array:
-    """Return the covariance (p + 3, p + 3) of a log's s, g and h, including the scatter of g between logs."""
-    observed = covariance[OBSERVED, OBSERVED].copy()
-    scale = np.arange(SHAPE, len(observed) - 3)
-    observed[scale, scale] += model.gyroscope_scale_scatter**2
+def observed_covariance(factor: LogFactor, shared: ArrayLike, model: HistoryModel) -> Array:
+    """Return the covariance (…, p + 3, p + 3) of a log's s, g and h, including the scatter of g between logs.
+
+    Args:
+        factor: of a log with a calibration.
+        shared: (…) share of its model error that all logs have, which is left out.
+        model: assumptions about the instrument between the logs.
+    """
+    assert factor.covariance is not None
+    model_error = factor.model_error[OBSERVED, OBSERVED]
+    observed = factor.covariance[OBSERVED, OBSERVED] - np.asarray(shared)[..., None, None] * model_error
+    scale = np.arange(SHAPE, observed.shape[-1] - 3)
+    observed[..., scale, scale] += model.gyroscope_scale_scatter**2
     return observed
 
 

@@ -28,8 +28,11 @@ from magyc_gtsam.storage.mapping import json_types, parse_json, parse_yaml
 from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import write_text
 
-_FORMAT = "magyc-gtsam history 2"
-_FIRST_FORMAT = "magyc-gtsam history 1"  # without groups and filters, which are then computed again
+_FORMAT = "magyc-gtsam history 3"
+_EARLIER = (
+    "magyc-gtsam history 1",
+    "magyc-gtsam history 2",
+)  # with none or other filters, which are computed again
 _WORTH_KEEPING = 10  # number of logs below which filtering again takes no longer than reading the filter
 _LIST = ",\n"
 
@@ -247,12 +250,13 @@ class History:
             raise MagycError(f"{path}: not a text file; a history.yaml is expected here") from None
         except MagycError as error:
             raise MagycError(f"{path}: {error}") from None
-        if not isinstance(data, dict) or data.get("format") not in (_FORMAT, _FIRST_FORMAT):
+        if not isinstance(data, dict) or data.get("format") not in (_FORMAT, *_EARLIER):
             raise MagycError(f"{path}: not a history (format must be {_FORMAT!r})")
         try:
             model = HistoryModel(**data["model"])
             logs = [LogFactor.from_dict(log) for log in data["logs"]]
-            banks = [Bank.from_dict(bank, len(logs)) for bank in data.get("filters", ())]
+            saved = data.get("filters", ()) if data["format"] == _FORMAT else ()
+            banks = [Bank.from_dict(bank, len(logs)) for bank in saved]
             return cls(logs, model=model, options=data["options"], groups=data.get("groups"), banks=banks)
         except MagycError as error:
             raise MagycError(f"{path}: {error}") from None

@@ -7,7 +7,7 @@ which is large in a history of few logs.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from magyc_gtsam.history.forward import (
     JUMPED,
     SCATTER_OF_CELL,
     SCATTERS,
+    SHARED_OF_CELL,
     WALK_OF_CELL,
     WALKS,
     WRONG,
@@ -67,8 +68,31 @@ class Instrument:
     @property
     def scatter(self) -> float:
         """The likeliest relative scatter of soft irons between logs beyond their sigmas."""
-        share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=0)
-        return float(SCATTERS[np.argmax(share)])
+        return float(SCATTERS[self._scattered, 1])
+
+    @property
+    def _scattered(self) -> int:
+        """The likeliest of `SCATTERS`."""
+        return int(np.argmax(self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=0)))
+
+    @cached_property
+    def shared_error(self) -> Array:
+        """The covariance (p + 3, p + 3) of the error of s, g and h that all logs share.
+
+        It does not average out: the model errors M_k, as far as the logs share them, add like numbers. With the weights
+        W_k of the mean, C = ρ L Lᵀ, L = Σ W_k √M_k; ρ is the posterior mean of the share.
+        """
+        good = self.label != WRONG
+        used = [log for log, is_good in zip(self.logs, good, strict=True) if log.mean is not None and is_good]
+        size = self.bank.mean.shape[-1]
+        if not used:
+            return np.zeros((size, size))
+        share = float(self.bank.share.sum(axis=0) @ SHARED_OF_CELL)
+        weights = np.linalg.inv([observed_covariance(log, share, self.model) for log in used])
+        value, vector = np.linalg.eigh([log.model_error[OBSERVED, OBSERVED] for log in used])
+        roots = np.einsum("kij,kj,klj->kil", vector, np.sqrt(np.maximum(value, 0.0)), vector)
+        together = np.linalg.solve(weights.sum(axis=0), np.einsum("kij,kjl->il", weights, roots))
+        return share * together @ together.T
 
     @cached_property
     def ahead(self) -> tuple[Array, Array]:
@@ -90,19 +114,25 @@ class Instrument:
         covariance[iron, iron] += interval * (of_cell @ WALK_OF_CELL**2)
         scale = range(SHAPE, len(mean) - 3)
         covariance[scale, scale] += self.model.gyroscope_scale_scatter**2
-        return mean, covariance
+        return mean, covariance + self.shared_error
 
     @cached_property
     def posterior(self) -> HistoryPosterior:
         """The posterior from all logs at the likeliest labelling and scatter, averaged over the walk."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
-        observed = _observations(self.logs, elapsed, self.scatter, self.label != WRONG, self.model)
-        weight = self.bank.weight[0][self.scatter == SCATTER_OF_CELL]
+        observed = _observations(self.logs, elapsed, SCATTERS[self._scattered], self.label != WRONG, self.model)
+        weight = self.bank.weight[0].reshape(len(WALKS), len(SCATTERS))[:, self._scattered]
         share = np.exp(weight - weight.max())
         used = np.flatnonzero(share > _NEGLIGIBLE)
         jumped = self.model.jump**2 * (self.label[1:] == JUMPED)
         each = [solve(observed, WALKS[i] ** 2 * observed.elapsed + jumped) for i in used]
-        return _averaged(each, share[used] / share[used].sum())
+        found, error = _averaged(each, share[used] / share[used].sum()), self.shared_error
+        return replace(
+            found,
+            shared_covariance=found.shared_covariance + error[:-3, :-3],
+            covariance=found.covariance + error[-3:, -3:],
+            cross=found.cross + error[-3:, :-3],
+        )
 
 
 def solve_instrument(
@@ -146,18 +176,19 @@ def _shared(logs: Iterable[LogFactor]) -> int:
 
 
 def _observations(
-    logs: Sequence[LogFactor], elapsed: Array, scatter: float, kept: np.ndarray, model: HistoryModel
+    logs: Sequence[LogFactor], elapsed: Array, scattered: Array, kept: np.ndarray, model: HistoryModel
 ) -> Observations:
-    """Return (s, g, h) of each log with biases marginalised and scatter added; logs not kept have no information.
+    """Return (s, g, h) of each log with biases marginalised and one of `SCATTERS`; logs not kept have no information.
 
     The first log that is kept has the prior of g.
     """
+    common, scatter = scattered
     shared = _shared(logs)
     mean, information = np.zeros((len(logs), shared + 3)), np.zeros((len(logs), shared + 3, shared + 3))
     informative = np.array([log.mean is not None for log in logs]) & kept
     used = [log for log, is_used in zip(logs, informative, strict=True) if is_used]
     mean[informative] = np.array([log.mean[OBSERVED] for log in used if log.mean is not None])
-    covariances = [observed_covariance(log.covariance, model) for log in used if log.covariance is not None]
+    covariances = [observed_covariance(log, common, model) for log in used]
     added = np.diag(np.where(np.arange(shared + 3) < SHAPE, scatter**2, 0.0))
     information[informative] = np.linalg.inv(np.array(covariances) + added)
     if shared > SHAPE and informative.any():

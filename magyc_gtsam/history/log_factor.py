@@ -34,6 +34,7 @@ MICROTESLA, MILLIRADIAN, PER_MILLE = 1e-6, 1e-3, 1e-3
 _SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
     "mean": ((SIZE,), (SIZE_WITH_SCALE,)),
     "covariance": ((SIZE, SIZE), (SIZE_WITH_SCALE, SIZE_WITH_SCALE)),
+    "noise_covariance": ((SIZE, SIZE), (SIZE_WITH_SCALE, SIZE_WITH_SCALE)),
     "misalignment": ((3,),),
     "misalignment_covariance": ((3, 3),),
 }
@@ -52,6 +53,7 @@ class LogFactor:
         time: s since 1970 of its middle; None if its clock does not show the date.
         mean: (11,) s, h µT, b mrad/s, or (14,) s, g ‰, h, b; None without a trusted calibration.
         covariance: (11, 11) or (14, 14) of `mean`.
+        noise_covariance: its part by the sensors' noise; None if the method does not separate it.
         delay, delay_sigma: s; the sigma is None if the delay was not estimated.
         misalignment, misalignment_covariance: (3,) rad, (3, 3); None if the log did not show one.
         log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
@@ -72,6 +74,14 @@ class LogFactor:
     field_strength: float | None = None
     problem: str = ""
     samples: str = ""
+    noise_covariance: Array | None = None
+
+    @property
+    def model_error(self) -> Array:
+        """The covariance, of the size of `covariance`, that is due to effects which the model lacks."""
+        assert self.covariance is not None
+        noise = self.noise_covariance
+        return np.zeros_like(self.covariance) if noise is None else self.covariance - noise
 
     def to_dict(self) -> dict[str, Any]:
         """Return the factor as JSON types."""
@@ -88,14 +98,17 @@ class LogFactor:
         try:
             values = dict(data)
             for name, shapes in _SHAPES.items():
-                if values[name] is not None:
+                if values.get(name) is not None:
                     values[name] = np.array(values[name], dtype=np.float64)
                     if values[name].shape not in shapes or not np.isfinite(values[name]).all():
                         wanted = " or ".join(map(str, shapes))
                         raise MagycError(f"history: {name} of a log must be {wanted} finite numbers")
             factor = cls(**values)
             mean, covariance = values["mean"], values["covariance"]
-            if mean is not None and (covariance is None or covariance.shape != mean.shape * 2):
+            sizes = {
+                values[name].shape for name in ("covariance", "noise_covariance") if values.get(name) is not None
+            }
+            if mean is not None and (covariance is None or sizes != {mean.shape * 2}):
                 raise MagycError(f"history: mean and covariance of log {factor.name!r} have different sizes")
         except (KeyError, TypeError, ValueError) as error:
             if isinstance(error, MagycError):
@@ -139,31 +152,41 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
     scale = next((term for term in calibration.terms if term.name == "gyro-scale"), None)
     size = SIZE if scale is None else SIZE_WITH_SCALE
     mean, slope = np.zeros(size), np.zeros((size, 15))  # slope: derivative by vech(S), h, b and g in SI units
-    known = np.zeros((15, 15))
-    rows = len(calibration.covariance)  # 12, or 9 without a bias
-    known[:rows, :rows] = calibration.covariance
     mean[:SHAPE], slope[:SHAPE, :6] = shape, shape_slope(calibration.soft_iron)
     mean[HARD_IRON], slope[HARD_IRON, 6:9] = calibration.hard_iron / MICROTESLA, np.eye(3) / MICROTESLA
     if calibration.gyro_bias is not None:
         mean[GYRO_BIAS], slope[GYRO_BIAS, 9:12] = calibration.gyro_bias / MILLIRADIAN, np.eye(3) / MILLIRADIAN
     if scale is not None:
         mean[SCALE], slope[SCALE, 12:] = scale.value / PER_MILLE, np.eye(3) / PER_MILLE
-        known[12:, 12:] = scale.covariance
-        known[:12, 12:] = calibration.diagnostics["gyroscope_scale"]
-        known[12:, :12] = known[:12, 12:].T
-    covariance = slope @ known @ slope.T
-    prior = calibration.configuration.get("gyroscope_scale")  # None for a calibration from a history
-    if scale is not None and prior is not None:
-        mean, covariance = _with_weak_prior(mean, covariance, prior)
-    if calibration.gyro_bias is None:
-        covariance[GYRO_BIAS, GYRO_BIAS] = np.eye(3) * _UNKNOWN_BIAS**2
+    prior = None if scale is None else calibration.configuration.get("gyroscope_scale")  # None from a history
+    at = mean
+    covariances: list[Array | None] = []
+    for known in (calibration.covariance, calibration.noise_covariance):
+        if known is None:
+            covariances.append(None)
+            continue
+        whole = np.zeros((15, 15))
+        rows = len(known)  # 12, or 9 without a bias
+        whole[:rows, :rows] = known
+        if scale is not None:
+            whole[12:, 12:] = scale.covariance
+            whole[:12, 12:] = calibration.diagnostics["gyroscope_scale"]
+            whole[12:, :12] = whole[:12, 12:].T
+        covariance = slope @ whole @ slope.T
+        if prior is not None:
+            moved, covariance = _with_weak_prior(at, covariance, prior)
+            mean = moved if not covariances else mean
+        if calibration.gyro_bias is None:
+            covariance[GYRO_BIAS, GYRO_BIAS] = np.eye(3) * _UNKNOWN_BIAS**2
+        covariances.append(0.5 * (covariance + covariance.T))
     strength_given = calibration.configuration.get("field_strength") is not None
     skew = next((term for term in calibration.terms if term.name == "misalignment"), None)
     return LogFactor(
         name,
         time,
         mean,
-        0.5 * (covariance + covariance.T),
+        covariances[0],
+        noise_covariance=covariances[1],
         delay=calibration.delay,
         delay_sigma=calibration.delay_sigma,
         misalignment=None if skew is None else skew.value,

@@ -23,6 +23,8 @@ class HistoryModel:
         scatter: relative, scatter of one instrument's soft irons between logs beyond their stated sigmas, for the
             comparison of instruments (trials 1, 4 and 6 of BROAD: 0.4 %).
         scattered: prior share of the instruments whose logs scatter beyond their sigmas at all.
+        shared_error: prior probability that the logs share all of their model error, as they do where it is the
+            instrument's (a gyroscope's scale, a mount, non-linearity); that they share half or none is equally likely.
         before: relative and µT, deviations of soft and hard iron before the first log; phones have 400 µT.
         bias_scatter: mrad/s, prior median of the scatter of the gyroscope bias from log to log (trials 1, 4 and
             6: 1.3).
@@ -49,6 +51,7 @@ class HistoryModel:
     wrong_shape: float = 0.05
     scatter: float = 0.005
     scattered: float = 0.1
+    shared_error: float = 0.5
     before: tuple[float, float] = (0.2, 1000.0)
     bias_scatter: float = 1.3
     bias_scatter_spread: float = float(np.log(3.0))
