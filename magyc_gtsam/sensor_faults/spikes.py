@@ -66,7 +66,19 @@ def has_spikes(value: Array) -> bool:
     """Return whether any sample of value (n, 3) is a spike."""
     starts = range(0, len(value) - _BLOCK, _PIECE)
     pieces = (value[start : start + _BLOCK + _PIECE + _BESIDE] for start in starts)
-    return any(len(_spikes(piece, _noise_of_blocks(piece), _BLOCK)[0]) for piece in pieces)
+    return any(_may_stand_out(piece) and len(_spikes(piece, _noise_of_blocks(piece), _BLOCK)[0]) for piece in pieces)
+
+
+def _may_stand_out(value: Array) -> bool:
+    """Return whether the largest change of an axis of value (n, 3) exceeds the threshold by the noise of any block.
+
+    The quartile of `_noise_of_blocks` is below a limit if more differences are than its rank, which needs no sorting.
+    """
+    second = np.abs(np.diff(_changes(value)))
+    axes = np.ascontiguousarray(value.T)
+    limit = np.abs(np.diff(axes)).max(axis=1) * (_QUARTILE / _NOISES)
+    low = (second < limit[:, None, None]) & (second > 0)
+    return bool((low.sum(axis=2, dtype=np.uint8) > np.count_nonzero(second, axis=2) // 4).any())
 
 
 def _spikes(value: Array, noise: Array, first: int) -> tuple[np.ndarray, np.ndarray]:
@@ -91,9 +103,7 @@ def _noise_of_blocks(value: Array) -> Array:
     The estimate is a lower quartile, because spikes in 20 % of the samples affect half of the second differences. Zero
     differences, from samples that are held or cut off, carry no information on the noise and are excluded.
     """
-    count = len(value) // _BLOCK
-    blocks = np.ascontiguousarray(value[: count * _BLOCK].T).reshape(value.shape[1], count, _BLOCK)
-    change = np.diff(blocks)
+    change = _changes(value)
     second = np.abs(np.diff(change))
     place = np.count_nonzero(second, axis=2, keepdims=True) // 4
     ordered = np.sort(np.where(second > 0, second, np.inf))
@@ -101,6 +111,13 @@ def _noise_of_blocks(value: Array) -> Array:
     step = np.where(change != 0, np.abs(change), np.inf).min(axis=2)
     result: Array = np.maximum(quartile / _QUARTILE, step).T
     return result
+
+
+def _changes(value: Array) -> Array:
+    """Return the changes (3, b, _BLOCK − 1) from sample to sample inside the full blocks of value (n, 3)."""
+    count = len(value) // _BLOCK
+    blocks = np.ascontiguousarray(value[: count * _BLOCK].T).reshape(value.shape[1], count, _BLOCK)
+    return np.asarray(np.diff(blocks))
 
 
 def _stand_out(value: Array, rows: np.ndarray, noise: Array) -> np.ndarray:

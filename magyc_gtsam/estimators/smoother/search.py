@@ -180,11 +180,13 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
         skew = skew_from_score(fit, prior)
         if skew.probability <= prior.probable:
             return fit.with_skew_estimate(skew)
-    wide = widened(fit, prior, known)
-    skew = skew_of(wide, prior, 1.0, decide=False)
+        wide = widened(fit, prior)
+    else:
+        wide = widened(fit, prior, known)
+        skew = skew_of(wide, prior, 1.0, decide=False)
     if skew.probability > prior.probable:
         try:
-            wide = adapted(descend(wide))
+            wide = adapted(descend(wide, NEAR))
         except MagycError:  # the descent diverged, which happens if the field jumps
             return fit.with_skew_estimate(skew_of(widened(fit, prior, known), prior, 1.0).undecided())
         skew = skew_of(wide, prior, wide.colour * wide.widening)
