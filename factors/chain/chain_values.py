@@ -82,7 +82,7 @@ class Reduced(NamedTuple):
         inner += 2 * np.vdot((j0 * j1).sum(axis=0), s01)
         across = self.on_parameters - np.einsum("ian,pan->pin", self.on_direction, self._solved)
         flat = across.reshape(len(covariance), -1)
-        return float(inner + np.vdot(covariance @ flat, flat))
+        return float(inner + np.vdot(covariance, flat @ flat.T))
 
     @property
     def direction_slopes(self) -> Array:

@@ -66,7 +66,9 @@ def has_spikes(value: Array) -> bool:
     """Return whether any sample of value (n, 3) is a spike."""
     starts = range(0, len(value) - _BLOCK, _PIECE)
     pieces = (value[start : start + _BLOCK + _PIECE + _BESIDE] for start in starts)
-    return any(_may_stand_out(piece) and len(_spikes(piece, _noise_of_blocks(piece), _BLOCK)[0]) for piece in pieces)
+    return any(
+        _may_stand_out(piece) and len(_spikes(piece, _noise_of_blocks(piece), _BLOCK)[0]) for piece in pieces
+    )
 
 
 def _may_stand_out(value: Array) -> bool:

@@ -114,8 +114,10 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: FamilyTes
     parameters stays in `moving`, with the amplitude by its prior odds or by the other columns. Tests with little gain
     are returned unchanged.
     """
+    if tested.gain < _LEAST_GAIN:
+        return tested
     family, more = tested.family, _beside_terms(tested.new)
-    if tested.gain < _LEAST_GAIN or (more.all() and not (family.from_rate or family.mixed)):
+    if more.all() and not (family.from_rate or family.mixed):
         return tested
     if more.all() and family.mixed:
         return _without_unknown_mixtures(beside, motion, tested)

@@ -18,6 +18,7 @@ from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.vech import vech
 
 _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
 # Prior odds of an effect. They determine the cost for clean logs (ten minutes at 10 Hz): the mean NEES falls from 11 by
@@ -191,12 +192,11 @@ def _second_half(motion: WindowMotion) -> Array:
     """Return (13, 13) the soft and hard iron of the second half less their means, for `_halves`."""
     result = np.zeros((PARAMETERS, 13))
     result[6:9, :3] = -motion.strength * np.eye(3)
-    rows, columns = np.triu_indices(3)
     for j in range(3):
         for i in range(3):
             change = np.zeros((3, 3))
             change[i, j] = -motion.strength
-            result[:6, 3 + 3 * j + i] = (0.5 * (change + change.T))[rows, columns]
+            result[:6, 3 + 3 * j + i] = vech(0.5 * (change + change.T))
     return result
 
 

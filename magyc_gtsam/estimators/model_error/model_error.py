@@ -143,7 +143,8 @@ def _of_theta(
 ) -> ModelError:
     """Return the model error by the covariance (p, p) of θ and the terms, and by components of the same size."""
     size = len(fit.free)
-    shown, averaged = (
-        tuple(replace(c, covariance=c.covariance[:size, :size]) for c in each) for each in (components, possible)
-    )
-    return ModelError(covariance[:size, :size], shown, averaged, covariance[:, size:])
+    if fit.terms is not None:
+        components, possible = (
+            [replace(c, covariance=c.covariance[:size, :size]) for c in each] for each in (components, possible)
+        )
+    return ModelError(covariance[:size, :size], tuple(components), tuple(possible), covariance[:, size:])

@@ -16,6 +16,7 @@ from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import RateErrors, UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import vech
 
 _LATE = 0.3  # s, lag of an axis for which the ratio of second to first order is exact
 # T, half width of a hysteresis (play). With this single value the hard iron of loops of 0.1 to 3 µT is off by 0.2 to
@@ -116,11 +117,10 @@ def _gain_drift(motion: WindowMotion) -> UnmodelledColumns:
 def _gain_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) the soft iron at the end of the recording less its mean, per unit of each column."""
     result = np.zeros((PARAMETERS, 3))
-    rows, columns = np.triu_indices(3)
     for axis in range(3):
         turned = np.zeros((3, 3))
         turned[axis] = motion.soft_iron[axis]
-        result[:6, axis] = (0.5 * (turned + turned.T))[rows, columns]
+        result[:6, axis] = vech(0.5 * (turned + turned.T))
     return result
 
 

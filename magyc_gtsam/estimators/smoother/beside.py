@@ -155,7 +155,7 @@ class ColumnProducts(WhitenedFit):
         pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
         score = along(self.left.window.reshape(3, n), axes) @ transposed
         between = np.einsum("ain,bin->abn", axes, axes)
-        pairs = [(a, b) for a in range(count) for b in range(a, count) if between[a, b].any()]
+        pairs = np.argwhere(np.triu(between.any(axis=2))).tolist()
 
         def square(own: slice) -> Array:
             some = profiles[own.start // count : own.stop // count]

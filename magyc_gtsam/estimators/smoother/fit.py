@@ -25,12 +25,9 @@ PATIENCE = 300
 # The limit for auxiliary fits, whose question a fit without convergence leaves unanswered, and for alternative starts:
 # those that led to another calibration of the same logs took 12 to 53.
 BRIEF = 120
-# Squared length of the last step, in sigmas. A fiftieth of it remains: of 100 clean logs no parameter was more than 0.07
-# sigmas from the minimum, 0.008 in the median.
-SETTLED = 0.1
-# The same limit between updates of noise levels and weights: seven sigmas, after which 0.2 were left in 48 clean logs.
-NEAR = 50.0
-_UNSETTLED = 1.0  # gain per window, in squared sigmas, from which the directions are relinearised; at most `settled`
+SETTLED = 5e-3  # squared distance from the minimum, in sigmas, at which a descent ends
+NEAR = 4.0  # the same limit between updates of noise levels and weights: two sigmas
+_UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are relinearised
 _ROUNDING = 1e-9  # tolerance on the cost, which is close to zero for noise-free data
 _COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
@@ -45,6 +42,7 @@ class Fit(Minimum):
         noise_freedom: degrees of freedom from which the gyroscope's noise was estimated; infinite if it is known.
         skew: estimate of the misalignment between the chips; None if it was not estimated.
         patience: eliminations after which a start that has not converged is abandoned.
+        last_steps: squared lengths of the last two steps, in sigmas; 0 where there is none, or it was damped.
     """
 
     iterations: int = 0
@@ -52,6 +50,7 @@ class Fit(Minimum):
     noise_freedom: float = np.inf
     skew: Skew | None = None
     patience: int = PATIENCE
+    last_steps: tuple[float, float] = (0.0, 0.0)
 
     @property
     def hopeless(self) -> bool:
@@ -126,19 +125,19 @@ def begin(chain: FieldChain, parameters: Array, free: np.ndarray, patience: int 
 
 
 def descend(fit: Fit, settled: float = SETTLED) -> Fit:
-    """Minimise over θ by Levenberg–Marquardt, with the directions eliminated, until a step is below `settled`."""
-    damping, spent = 0.0, 0
+    """Minimise over θ by Levenberg–Marquardt, with the directions eliminated, until less than `settled` is left."""
+    damping, spent, before = 0.0, 0, fit.last_steps
     state, reduced = fit.state, fit.reduced
     converged = False
     while spent < MAX_ITERATIONS and damping < 1e8:
         step, length = _step(reduced, fit.free, damping)
         trial = fit.chain.move(state, reduced, step)
         ahead_of_directions = float(reduced.half[:, -1] @ reduced.half[:, -1])
-        unsettled = ahead_of_directions > min(settled, _UNSETTLED) * trial.direction.shape[1]
-        if length < settled and damping == 0.0 and not unsettled:
-            # The step is too short to need a check or a new linearisation; its gain is known.
+        near = min(length, _left_after(length, before)) < settled
+        if near and damping == 0.0 and ahead_of_directions < _UNSETTLED * trial.direction.shape[1]:
+            # What is left needs no check and no new linearisation; the gain of the step is known.
             reduced = reduced._replace(cost=reduced.cost - 0.5 * (length + ahead_of_directions))
-            state, converged = trial, True
+            state, converged, before = trial, True, (before[1], length)
             break
         try:
             ahead = fit.chain.eliminate(trial, fit.weights)
@@ -146,12 +145,23 @@ def descend(fit: Fit, settled: float = SETTLED) -> Fit:
             ahead = reduced._replace(cost=np.inf)
         spent += 1
         if ahead.cost <= reduced.cost * (1 + 1e-10) + _ROUNDING and np.isfinite(ahead.cost):
-            state, reduced = trial, ahead
+            state, reduced, before = trial, ahead, (before[1], length if damping == 0.0 else 0.0)
             damping = damping / 10 if damping > 1e-6 else 0.0
         else:
             damping = max(10 * damping, 1e-3)
     iterations = fit.iterations + spent
-    return replace(fit, state=state, reduced=reduced, iterations=iterations, converged=converged)
+    return replace(
+        fit, state=state, reduced=reduced, iterations=iterations, converged=converged, last_steps=before
+    )
+
+
+def _left_after(length: float, before: tuple[float, float]) -> float:
+    """Return the squared distance left after a step, if the next ones shrink as the slower of the last two did.
+
+    It is the sum of a geometric series, √l ρ/(1 − ρ), with ρ² the ratio of squared lengths; infinite if not known.
+    """
+    ratio = max(length / before[1], before[1] / before[0] if before[0] else 0.0) if before[1] else 1.0
+    return length * ratio / (1 - np.sqrt(ratio)) ** 2 if ratio < 1 else np.inf
 
 
 def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Array, float]:

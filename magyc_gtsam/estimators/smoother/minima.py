@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit
 from magyc_gtsam.estimators.smoother.noise_levels import misfit
 from magyc_gtsam.factors.chain.vech import unvech
 
 _CLOSE = 1.1  # ratio of misfits up to which two minima count as close
 _EQUAL = 1.01  # ratio of misfits up to which minima count as equal
-_SAME = 4.0  # squared distance, in sigmas, below which two descents ended at one minimum
 _APART = 0.05  # distance of the hard irons of two minima, in field strengths, from which they are distinct
 
 
@@ -52,7 +51,7 @@ def same(fit: Fit, other: Fit) -> bool:
     left = max(
         2 * other.reduced.cost / (3 * len(other.chain.windows)), 1.0
     )  # variance over that of short-term noise
-    return fit.converged and other.converged and bool(step @ other.reduced.information @ step < _SAME * left)
+    return fit.converged and other.converged and bool(step @ other.reduced.information @ step < NEAR * left)
 
 
 def apart(fit: Fit, other: Fit) -> bool:

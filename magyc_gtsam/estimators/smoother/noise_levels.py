@@ -16,7 +16,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 ROUNDS = 20  # most updates of robust weights and noise levels
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
-_NOISE_STABLE = 10.0  # squared length of the last step of the noise levels in their own sigmas
+_NOISE_STABLE = 0.4  # sigmas of a noise level that the last update may leave
 _GYROSCOPE_RANGE = 3.0  # largest factor between the gyroscope's noise and its short-term noise
 # Standard deviation of log σ² of the gyroscope below its short-term noise. Over windows its noise is larger (1.8 times
 # or more in 26 of 26 real logs); only vibration, which averages out, makes it smaller.
@@ -68,10 +68,10 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
             np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
         )
         fit = replace(fit, weights=weights)
-        noise, gain, freedom = fit.chain.noise, 0.0, fit.noise_freedom
+        noise, left, freedom = fit.chain.noise, 0.0, fit.noise_freedom
         if short_term is not None:
-            noise, gain, freedom = improved_noise(fit, residuals, short_term)
-        stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
+            noise, left, freedom = improved_noise(fit, residuals, short_term)
+        stable = left < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
         chain = replace(fit.chain, noise=noise)
         reduced = chain.eliminate(fit.state, weights)
         fit = replace(fit, chain=chain, reduced=reduced, iterations=fit.iterations + 1, noise_freedom=freedom)
@@ -108,7 +108,8 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     misfit to the gyroscope and none to the magnetometer, and the bias would drift.
 
     Returns:
-        The noise, the step's squared length in its own sigmas, and the links' redundancy D with that of the prior.
+        The noise, what the step leaves of a level in its sigmas, and the links' redundancy D with that of the prior.
+        A step of Newton's method leaves half its square in log σ², whose variance is 2 over its information.
     """
     chain, weights, reduced = fit.chain, fit.weights, fit.reduced
     window, link = chain.squares(residuals)
@@ -145,8 +146,8 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     step = np.zeros(2)
     step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient[kept])
     better = np.clip(level * np.exp(0.5 * np.clip(step, -2.0, 2.0)), low, high)
-    gain = float(np.abs(2 * np.log(better / level) * gradient)[kept].sum())
-    return SensorNoise(*better.tolist()), gain, freedom
+    left = 2 * np.log(better / level)[kept] ** 2 * np.sqrt(0.5 * information.diagonal()[kept])
+    return SensorNoise(*better.tolist()), float(left.max()), freedom
 
 
 def explained(fit: Fit, whitened: Array, covariance: Array) -> float:

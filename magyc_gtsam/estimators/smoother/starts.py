@@ -17,6 +17,7 @@ _PASSES = 3
 # from the minimum; 30 to 100 from a spherical start, and up to 15 with a deviation of 0.2.
 _SOFT_IRON = 0.1
 _MOST_SOFT_IRON = 0.5  # norm above which the estimate is not a soft iron
+_TRACELESS = np.concatenate([SYMMETRIC_UNITS[[1, 2, 4]], SYMMETRIC_UNITS[[0, 3]] - SYMMETRIC_UNITS[[3, 5]]])
 
 
 def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) -> Array:
@@ -45,8 +46,8 @@ def from_gyroscope(windows: FieldWindows) -> Array:
 
     With A = I the field rotated back by the gyroscope, y = Mᵀ(m − h), changes only by the bias: y' − y = [y]× ΔK b.
     Noise is additive in this form, so a large hard iron or noisy data do not bias the solution. No tilt is needed: the
-    solution is right even if an ellipsoid fit sees only an arc. The last pass adds A⁻¹ ∝ I − D with a prior on D,
-    since noise in its columns Mᵀ E_j (m − h) biases it.
+    solution is right even if an ellipsoid fit sees only an arc. The last pass adds A⁻¹ ∝ I − D. Noise in the columns
+    Mᵀ E_j (m − h) of D biases it, so D has a prior, and no trace, which would shrink the field to nothing.
     """
     spacing = max(median(np.diff(windows.time)), 1e-9)
     lag = min(max(round(_LAG / spacing), 1), (len(windows) - 1) // 2)
@@ -63,7 +64,7 @@ def from_gyroscope(windows: FieldWindows) -> Array:
 
     constant = turned_back[:, last] - turned_back[:, first]
     before, after = windows.rotation[:, :, first], windows.rotation[:, :, last]
-    every = np.empty((12, *constant.shape))  # columns of hard iron, bias and D
+    every = np.empty((11, *constant.shape))  # columns of hard iron, bias and D
     np.subtract(after, before, out=every[:3])
     hard_iron, bias, scale = windows.field.mean(axis=1), np.zeros(3), 0.0
     for left in reversed(range(_PASSES)):
@@ -79,7 +80,7 @@ def from_gyroscope(windows: FieldWindows) -> Array:
         normal.flat[:: len(design) + 1] *= 1 + 1e-9
         normal[6:, 6:] += scale / 3 / _SOFT_IRON**2 * np.eye(len(design) - 6)
         solution = _solved(normal, weighted @ constant.ravel())
-        hard_iron, bias, stretch = np.split(solution, [3, 6])
+        before_it, (hard_iron, bias, stretch) = hard_iron, np.split(solution, [3, 6])
         misfit = constant - (solution @ flat).reshape(3, -1)
         square = np.einsum("in,in->n", misfit, misfit)
         counts = weight > 0
@@ -87,12 +88,14 @@ def from_gyroscope(windows: FieldWindows) -> Array:
         weight = counts / (1 + square / (2 * scale))  # Cauchy
     if not np.linalg.norm(stretch) < _MOST_SOFT_IRON:
         return spherical(windows, hard_iron, bias)
-    return from_prior(windows, vech(np.linalg.inv(np.eye(3) - unvech(stretch))), hard_iron, bias)
+    soft_iron = np.linalg.inv(np.eye(3) - np.tensordot(stretch, _TRACELESS, 1))
+    hard_iron = before_it + soft_iron @ (hard_iron - before_it)
+    return from_prior(windows, vech(soft_iron), hard_iron, bias)
 
 
 def _stretched(rotation: Array, field: Array) -> Array:
-    """Return (6, 3, n) Mᵀ E_j m of the symmetric unit matrices, for M (3, 3, n) and m (3, n)."""
-    return np.asarray(np.einsum("ijn,kin->kjn", rotation, np.tensordot(SYMMETRIC_UNITS, field, 1)))
+    """Return (5, 3, n) Mᵀ E_j m of a basis of D, for M (3, 3, n) and m (3, n)."""
+    return np.asarray(np.einsum("ijn,kin->kjn", rotation, np.tensordot(_TRACELESS, field, 1)))
 
 
 def _solved(normal: Array, right: Array) -> Array:
