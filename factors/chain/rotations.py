@@ -90,23 +90,22 @@ def chain(steps: Spinor) -> Spinor:
             p[reach:], q[reach:] = multiply((p[:-reach], q[:-reach]), (p[reach:], q[reach:]))
             reach *= 2
         return p, q
-    blocks = -(-n // _BLOCK)
-    inside_p = np.ones((_BLOCK + 1, blocks), complex)
-    inside_q = np.zeros((_BLOCK + 1, blocks), complex)
-    rest = blocks * _BLOCK - n
-    padded_p = np.ascontiguousarray(np.append(p, np.ones(rest)).reshape(blocks, _BLOCK).T)
-    padded_q = np.ascontiguousarray(np.append(q, np.zeros(rest)).reshape(blocks, _BLOCK).T)
+    blocks = n // _BLOCK + 1
+    padded = np.zeros((2, blocks * _BLOCK), complex)
+    padded[0] = 1.0
+    padded[0, :n], padded[1, :n] = p, q
+    # The product is p₁ (p₂, q₂) + q₁ (−q̄₂, p̄₂).
+    step = np.ascontiguousarray(padded.reshape(2, blocks, _BLOCK).transpose(2, 0, 1))
+    crossed = step[:, ::-1].conj()
+    np.negative(crossed[:, 0], out=crossed[:, 0])
+    inside = np.empty((_BLOCK + 1, 2, blocks), complex)
+    inside[0] = [[1.0], [0.0]]
     for k in range(_BLOCK):
-        inside_p[k + 1], inside_q[k + 1] = multiply((inside_p[k], inside_q[k]), (padded_p[k], padded_q[k]))
-    if blocks > 1:
-        start = chain((inside_p[-1, :-1], inside_q[-1, :-1]))
-        inside_p, inside_q = multiply(start, (inside_p, inside_q))
-    p = np.append(inside_p[:-1].T.ravel()[:n], inside_p[-1, -1] if n == blocks * _BLOCK else 0)
-    q = np.append(inside_q[:-1].T.ravel()[:n], inside_q[-1, -1] if n == blocks * _BLOCK else 0)
-    if n < blocks * _BLOCK:
-        row = n - (blocks - 1) * _BLOCK
-        p[n], q[n] = inside_p[row, -1], inside_q[row, -1]
-    return p, q
+        np.multiply(inside[k, 0], step[k], out=inside[k + 1])
+        inside[k + 1] += inside[k, 1] * crossed[k]
+    start = chain((inside[-1, 0, :-1], inside[-1, 1, :-1]))
+    p, q = multiply(start, (inside[:-1, 0], inside[:-1, 1]))
+    return p.T.ravel()[: n + 1], q.T.ravel()[: n + 1]
 
 
 def matrices(rotation: Spinor) -> Array:

@@ -34,7 +34,6 @@ _MOST_BACK = 8  # of the cells of a run
 _CELL = np.pi / 3 * 1e-7
 _BLOCK = 100_000  # samples at a time, for memory
 _FACTORS = np.random.PCG64(0).random_raw(3) | np.uint64(1)
-_INVERSE = np.uint64(pow(int(_FACTORS[0]), -1, 1 << 64))
 
 
 def fingerprint(recording: Recording) -> str:
@@ -55,8 +54,10 @@ class RunningFingerprint:
     def take(self, values: Array) -> None:
         """Add the next samples (n, 3) of the magnetometer, without repeats."""
         rows = np.vstack([self._last, values])
-        self._hashes = np.union1d(self._hashes, _smallest(rows))[:_KEPT]
-        self._last = rows[_moved(_cells(rows))][-(_RUN + _BACK - 1) :]
+        cells = _cells(rows)
+        moved = np.flatnonzero(_moved(cells))
+        self._hashes = np.union1d(self._hashes, _smallest(cells[moved]))[:_KEPT]
+        self._last = rows[moved[-(_RUN + _BACK - 1) :]]
 
     @property
     def text(self) -> str:
@@ -89,7 +90,7 @@ def first_shared(own: str, others: Iterable[str]) -> str | None:
 
 def _cells(values: Array) -> Hashes:
     """Return the cells (n,) of samples (n, 3), each as one number."""
-    return _mixed(np.rint(values / _CELL).astype(np.int64).view(np.uint64).T)
+    return _mixed(np.rint(values.T / _CELL, order="C").astype(np.int64).view(np.uint64))
 
 
 def _moved(cells: Hashes) -> NDArray[np.bool_]:
@@ -97,26 +98,27 @@ def _moved(cells: Hashes) -> NDArray[np.bool_]:
     return np.append(True, cells[1:] != cells[:-1])[: len(cells)]
 
 
-def _smallest(values: Array) -> Hashes:
-    """Return the smallest hashes of the runs of samples (n, 3), ascending."""
-    cells = _cells(values)
-    cells = cells[_moved(cells)]
-    count = len(cells) - _RUN - _BACK + 1  # of runs, each after the cells to which it may return
-    if count < 1:
+def _smallest(cells: Hashes) -> Hashes:
+    """Return the smallest hashes of the runs of cells (n,), each unlike the one before, ascending."""
+    if len(cells) < _RUN + _BACK:  # a run comes after the cells to which it may return
         return np.empty(0, np.uint64)
-    runs = _hashed_runs(cells[_BACK:], count) >> np.uint64(64 - 8 * _BYTES)
-    back = np.any([cells[_BACK:] == cells[_BACK - k : -k] for k in range(2, _BACK + 1)], axis=0)
+    runs = _hashed_runs(cells[_BACK:]) >> np.uint64(64 - 8 * _BYTES)
+    back = np.zeros(len(cells) - _BACK, dtype=bool)
+    for k in range(2, _BACK + 1):
+        back |= cells[_BACK:] == cells[_BACK - k : -k]
     returns = np.cumsum(np.append(0, back))
     runs = runs[returns[_RUN:] - returns[:-_RUN] <= _MOST_BACK]
     few = 2 * _KEPT  # more than are kept, since some may be equal
     return np.unique(runs if len(runs) <= few else np.partition(runs, few)[:few])[:_KEPT]
 
 
-def _hashed_runs(cells: Hashes, count: int) -> Hashes:
-    """Return a hash of each of `count` runs of cells, by sums of powers modulo 2⁶⁴ (Karp and Rabin 1987)."""
-    up, down = (np.cumprod(np.full(len(cells), base)) for base in (_FACTORS[0], _INVERSE))
-    sums = np.append(np.uint64(0), np.cumsum(cells * up))
-    return _mixed([(sums[_RUN:] - sums[:-_RUN]) * down[:count]])
+def _hashed_runs(cells: Hashes) -> Hashes:
+    """Return a hash of each run of `_RUN` cells: a polynomial modulo 2⁶⁴ (Karp and Rabin 1987), by doubling."""
+    factor, reach = _FACTORS[:1], 1
+    while reach < _RUN:
+        cells = cells[:-reach] + factor * cells[reach:]
+        factor, reach = factor * factor, 2 * reach
+    return _mixed([cells])
 
 
 def _text(hashes: Hashes) -> str:
