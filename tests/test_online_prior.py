@@ -36,7 +36,7 @@ def test_it_ends_as_in_the_batch(earlier: mg.Calibration, options: dict[str, flo
     alone = mg.calibrate(simulation.recording)
     off = (online.hard_iron - batch.hard_iron) / batch.sigma["hard_iron"]
     exact = set(options) <= {"hard_iron_walk"}
-    assert np.abs(off).max() < (0.05 if exact else 1.0)
+    assert np.abs(off).max() < (0.1 if exact else 1.0)
     np.testing.assert_allclose(online.sigma["hard_iron"], batch.sigma["hard_iron"], rtol=0.05 if exact else 0.6)
     assert online.sigma["hard_iron"][2] < 0.7 * alone.sigma["hard_iron"][2]
     error = (online.hard_iron - simulation.truth.hard_iron) / online.sigma["hard_iron"]
