@@ -276,7 +276,7 @@ FAMILIES = (
     ColumnFamily(
         "gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, stage=1, unit="share", mixed=True
     ),
-    _in_time("gyroscope:drift", _BIASED, WindowMotion.about_each_axis, 0.015, _SLOWEST, unit="rate"),
+    _in_time("gyroscope:drift", _BIASED, WindowMotion.slowly_about_each_axis, 0.015, _SLOWEST, unit="rate"),
     _in_time(
         "gyroscope:wander",
         _BIASED,

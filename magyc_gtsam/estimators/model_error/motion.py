@@ -33,6 +33,7 @@ class WindowMotion:
             delay, −d/dt.
         rate: (3, n) rad/s, rate of turn.
         direction: (3, n) of the field in the integrated world.
+        lever: (3, 3, links) s, minus the integral of the rotation (sensor → integrated world) over each link.
         reading: (3, n) T, predicted by the model; reading_change: (3, n) T/s, its derivative with respect to the delay.
         strength: T, of the field; soft_iron: (3, 3) T, multiplied by the strength.
         delay: s, of the magnetometer behind the gyroscope; gyroscope_step: s, sampling interval of the gyroscope.
@@ -50,6 +51,7 @@ class WindowMotion:
     change: Array
     rate: Array
     direction: Array
+    lever: Array
     reading: Array
     reading_change: Array
     strength: float
@@ -72,7 +74,8 @@ class WindowMotion:
         rate = 0.5 * np.array(
             [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]
         )
-        drift = np.einsum("ijn,j->in", windows.lever, parameters[9:12] - windows.bias)  # of the world in each link
+        bias_error = parameters[9:12] - windows.bias
+        drift = np.einsum("ijn,j->in", windows.lever, bias_error)  # of the world in each link
         g = fit.state.direction
         unit, change = np.einsum("ijn,jn->in", rotation, g), np.einsum("ijn,jn->in", windows.rotation_rate, g)
         apart = np.maximum(np.diff(windows.time), 1e-9)
@@ -84,6 +87,7 @@ class WindowMotion:
             change=change,
             rate=rate,
             direction=g,
+            lever=windows.lever,
             reading=parameters[6:9, None] + soft @ unit,
             reading_change=soft @ change,
             strength=float(np.cbrt(abs(np.linalg.det(soft)))),
@@ -92,9 +96,7 @@ class WindowMotion:
             gyroscope_step=median(windows.link_time / apart),
             rate_noise=fit.chain.noise.gyroscope * float(np.sqrt(median(windows.link_time / apart**2))),
             step=step,
-            between=replace(
-                windows.between, rate=windows.between.rate - (parameters[9:12] - windows.bias)[:, None]
-            ),
+            between=replace(windows.between, rate=windows.between.rate - bias_error[:, None]),
         )
 
     @property
@@ -194,6 +196,12 @@ class WindowMotion:
         turned = profiles[:, None, None] * self.rotation
         return RateErrors(turned.reshape(-1, *turned.shape[2:]), self._links)
 
+    def slowly_about_each_axis(self, profiles: Array) -> UnmodelledColumns:
+        """Return the same columns of profiles that hardly change within a link, by the samples' integrals over it."""
+        own = profiles if self.window is None else profiles[:, self.window]
+        turned = 0.5 * (own[:, 1:] + own[:, :-1])[:, None, None] * -self.lever.swapaxes(0, 1)
+        return UnmodelledColumns(None, self._across(turned.reshape(-1, *turned.shape[2:])))
+
     def gyroscope_matrix(self) -> UnmodelledColumns:
         """Return the 9 columns of a matrix error on the rate, row by row, as a share of the rate."""
         turned = self.rate[:, None, None] * self.rotation
@@ -213,16 +221,16 @@ class WindowMotion:
 
     def _links(self, turned: Array) -> Array:
         """Return columns of the links (k, 3, n − 1) rad by rate errors (k, 3, n) rad/s in the integrated world."""
-        integral, direction = self.integral(turned), self.direction
+        integral = self.integral(turned)
         if self.window is not None:
             integral = np.add.reduceat(integral, self.window[:-1], axis=-1)
-            direction = direction[:, self.window]
-        x, y, z = integral.swapaxes(0, 1)
-        a, b, c = direction[:, :-1]
-        link = np.empty((len(turned), 3, len(a)))
-        np.subtract(b * z, c * y, out=link[:, 0])
-        np.subtract(c * x, a * z, out=link[:, 1])
-        np.subtract(a * y, b * x, out=link[:, 2])
+        return self._across(integral)
+
+    def _across(self, integral: Array) -> Array:
+        """Return columns of the links by the integrals over each of rate errors, (k, 3, links) rad."""
+        direction = self.direction if self.window is None else self.direction[:, self.window]
+        link = np.empty(integral.shape)
+        cross(direction[:, None, :-1], integral.swapaxes(0, 1), out=link.swapaxes(0, 1))
         return link
 
     def derivative(self, values: Array) -> Array:
@@ -245,14 +253,10 @@ class WindowMotion:
 
     def integral(self, values: Array) -> Array:
         """Return the integrals (…, n − 1) of the spline through values (…, n) from each window to the next."""
-        result: Array = values[..., 1:] + values[..., :-1]
-        result *= 0.5 * self._step
-        if self.straight:
-            return result
-        slope = self.derivative(values)
-        bent = slope[..., 1:] - slope[..., :-1]
-        bent *= self._step**2 / 12
-        result -= bent
+        result: Array = 0.5 * self._step * (values[..., 1:] + values[..., :-1])
+        if not self.straight:
+            slope = self.derivative(values)
+            result -= self._step**2 / 12 * (slope[..., 1:] - slope[..., :-1])
         return result
 
     @cached_property
@@ -268,9 +272,7 @@ class WindowMotion:
 
     def waves(self, first: int, stop: int) -> Array:
         """Return (stop − first, n) cosines of unit mean square with `first` to `stop` − 1 half waves."""
-        if stop <= SLOW[1]:
-            return self._slow_waves[first - SLOW[0] : stop - SLOW[0]]
-        return self._waves(first, stop)
+        return self._slow_waves[first - SLOW[0] : stop - SLOW[0]] if stop <= SLOW[1] else self._waves(first, stop)
 
     @cached_property
     def _slow_waves(self) -> Array:

@@ -74,7 +74,7 @@ def _followed(values: Array, width: float) -> Array:
     low, high = values - width, values + width
     low[:, 0] = high[:, 0] = values[:, 0]
     reach = 1
-    while reach < values.shape[1]:
+    while reach < values.shape[1] and (low != high).any():
         least, most = low[:, reach:], high[:, reach:]
         both = [np.minimum(np.maximum(side[:, :-reach], least), most) for side in (low, high)]
         least[:], most[:] = both
