@@ -10,7 +10,9 @@ information of θ are
 (the generalised likelihood ratio of Willsky and Jones, 1976). Innovations are independent, so both may be summed over
 blocks for any D: where D is only nearly right, the test loses power but stays valid. With a prior on θ they give the
 evidence for a turned mounting, which at any time exceeds 1/α with a probability of at most α where the mounting is
-right (Ville's inequality). Above a low threshold the graph is solved once with the mounting free, which is exact.
+right (Ville's inequality). D does not follow what other factors correct between two blocks, and the sums miss most of a
+turn of 1°. The graph is therefore solved with the mounting free, which is exact, above a low threshold of the evidence,
+and anyway whenever the number of blocks has grown threefold.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ class MountingLimits:
         excess: factor by which squared innovations may exceed their expectation, for a model that is only nearly
             right.
         perhaps: evidence above which the graph is solved with the mounting free.
+        first: number of blocks at which it is solved anyway: 60 blocks of 2 s determine a mounting to 0.16°.
         evidence: evidence of that solution above which the mounting counts as wrong.
         least: rad, smallest rotation that is reported.
         share: largest information of a block relative to that of the solver, which contains it, along any direction.
@@ -46,17 +49,18 @@ class MountingLimits:
             is known, by hundreds while it turns. Such a block is left out.
         lever: rad/rad, largest entry of D on an attitude. In a graph whose tilt is not determined D would grow without
             bound; it then starts at zero again.
-        growth: factor of the number of blocks between two solutions.
+        growth: factors of the number of blocks between two solutions, with and without such evidence.
     """
 
     prior: float = math.radians(2.0)
     excess: float = 1.3
     perhaps: float = 10.0
+    first: int = 60
     evidence: float = 1e5
-    least: float = math.radians(1.0)
+    least: float = math.radians(0.5)
     share: float = 1.01
     lever: float = 10.0
-    growth: float = 1.25
+    growth: tuple[float, float] = (1.25, 3.0)
 
 
 class HeldMounting:
@@ -75,7 +79,7 @@ class HeldMounting:
         self.shift: Array = np.zeros((0, 3))
         self._axis: Array = np.zeros(0)
         self._information, self._score = np.zeros((3, 3)), np.zeros(3)
-        self._next = 0.0
+        self._next, self._anyway = 0.0, float(limits.first)
 
     def add(self, gram: Array, axis: Array, covariance: Array, *, counts: bool) -> None:
         """Add a block.
@@ -136,7 +140,8 @@ class HeldMounting:
     @property
     def due(self) -> bool:
         """Whether to solve the graph with the mounting free."""
-        return self.blocks >= self._next and (self.wrong or self.evidence > math.log(self.limits.perhaps))
+        doubtful = self.wrong or self.evidence > math.log(self.limits.perhaps)
+        return self.blocks >= (self._next if doubtful else self._anyway)
 
     def solve(self, view: View, delivered: Sequence[Delivered]) -> None:
         """Solve the graph with the mounting free.
@@ -145,7 +150,7 @@ class HeldMounting:
             view: view of the solver.
             delivered: all factors that the solver holds as quadratics, oldest first.
         """
-        self._next = self.limits.growth * self.blocks
+        self._next, self._anyway = (growth * self.blocks for growth in self.limits.growth)
         blocks = [each for each in delivered if each.details is not None and each.details.freed is not None]
         if not blocks:
             return
@@ -157,9 +162,9 @@ class HeldMounting:
             free.push_back(_free_factor(each, values))
         free.add(_MOUNTING, np.eye(3) / prior, np.zeros(3), gtsam.noiseModel.Unit.Create(3))
         try:
-            solution = free.optimize()
-            marginals = gtsam.Marginals(free, solution)
-            joint = marginals.jointMarginalCovariance([*last.factor.keys(), _MOUNTING]).fullMatrix()
+            tree = free.eliminateMultifrontal()
+            solution = tree.optimize()
+            joint = tree.jointMarginalCovariance([*last.factor.keys(), _MOUNTING]).fullMatrix()
         except RuntimeError:  # the variables are not determined
             return
         mean, information = solution.at(_MOUNTING), np.linalg.inv(joint[-3:, -3:])

@@ -128,8 +128,18 @@ def test_a_mounting_that_is_held_is_named_with_its_angles(seed):
     assert {each.status for each in drive.words if "mounting" not in each.by} <= {"waiting", "consistent"}
 
 
+def test_a_mounting_1_degree_off_is_named_from_all_that_the_graph_knows():
+    """The sums over innovations miss it: with them alone six dives of twenty were told from a right mounting."""
+    named = 0
+    for seed in (70, 71, 72):
+        axis = np.random.default_rng(seed).normal(size=3)
+        drive = turned_mounting(Drive(seed, duration=190.05), np.radians(1.0) * axis / np.linalg.norm(axis)).run()
+        named += "from what the blocks hold" in drive.native.health.by
+    assert named >= 2
+
+
 def test_a_right_mounting_that_is_held_is_not_named():
-    drives = [Drive(seed, duration=80.05).run() for seed in (60, 61, 62)]
+    drives = [Drive(seed, duration=90.05).run() for seed in (60, 61, 62)]
     assert all(drive.native.mounting_error is None for drive in drives)
     assert {health.status for drive in drives for health in drive.words} <= {"waiting", "consistent"}
 
