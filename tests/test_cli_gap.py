@@ -18,9 +18,9 @@ from test_report import HOSTILE, drawn_figures
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
+from magyc_gtsam.gap.isolability import isolability
 from magyc_gtsam.gap.outcome.doubt import with_doubt
 from magyc_gtsam.gap.result import Assumption, Doubt, Gap, Isolability, Manoeuvre, Untested
-from magyc_gtsam.gap.scores.isolability import isolability
 from magyc_gtsam.gap.validation import agreement
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.report.gap_page import render_gap
@@ -291,7 +291,7 @@ def test_the_plan_of_a_motion(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"timing", "motor-current", "g-sensitivity", "misalignment"} <= rows.keys()
     assert " yes" in rows["hard-iron-drift"]
     assert " no" in rows["g-sensitivity"]
-    assert rows["timing"].endswith("timing or eddy-plane (52%)")
+    assert rows["gyro-quadratic"].endswith("gyro-quadratic or gyro-scale (37%)")
     assert rows["named"].startswith("named as: at the larger of the two strengths")
     assert rows["timing"].count("ms") == 2
 
@@ -305,8 +305,10 @@ def test_the_plan_for_programs_and_in_silence(capsys: pytest.CaptureFixture[str]
     timing = next(row for row in values["effects"] if row["name"] == "timing")
     assert timing["smallest"] > timing["matters"] > 0
     assert timing["nameable"] is False
-    assert timing["confused_with"] == {"eddy-plane": pytest.approx(0.52, abs=0.02)}
-    assert "as timing or eddy-plane, which this motion can hardly tell apart" in timing["sentence"]
+    assert timing["confused_with"] == {}
+    bent = next(row for row in values["effects"] if row["name"] == "gyro-quadratic")
+    assert bent["confused_with"] == {"gyro-scale": pytest.approx(0.37, abs=0.1)}
+    assert "as gyro-quadratic or gyro-scale, which this motion can hardly tell apart" in bent["sentence"]
     assert cli.main(["gap", "-q", "--plan", "moderate"]) == 0
     assert capsys.readouterr() == ("", "")
     assert cli.main(["gap"]) == 2  # a LOG is needed again
@@ -388,7 +390,7 @@ def test_page_of_a_closed_gap(opened: Any, late: tuple[mg.Recording, Gap], tmp_p
     text = page.inner_text("main")
     for words in ("Magnetometer delay", "On another recording: other.mcap", "Evidence", "Could not be tested"):
         assert words in text
-    assert f"{max(h.statistic for h in gap.hypotheses):.1f}" in text
+    assert f"{max(h.evidence for h in gap.hypotheses):.1f}" in text
 
 
 @pytest.mark.parametrize("width", [390, 1280])

@@ -18,14 +18,13 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import DRIFT, Batch, Candidates, settings_of
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
-from magyc_gtsam.gap.evidence.names import kept
+from magyc_gtsam.gap.evidence.neighbours import neighbours, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.evidence.posterior import SetWeight, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
-from magyc_gtsam.gap.scores.neighbours import neighbours, product_of
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60
@@ -48,7 +47,7 @@ def test_the_evidence_is_the_gaussian_integral(noise: float) -> None:
     flat, soft, own = (RANDOM.standard_normal((k, ROWS)) for k in (4, 3, 2))
     variance, wide = np.array([0.5, 2.0, 0.1]), np.full(4, 1e6)
     residual = RANDOM.standard_normal(ROWS) + own[0]
-    beside = Beside(residual, flat, soft, variance, np.zeros(7), noise)
+    beside = Beside.of(residual, flat, soft, variance, np.zeros(7), noise)
     batch = Batch(np.array([[0, 1]]), (own @ own.T)[None], ("time:any",), ({},), np.zeros(1))
     found = weigh(Candidates(own, np.zeros(2), (batch,)), beside)["time:any"]
     around = np.concatenate([flat, soft]), np.concatenate([wide, variance])
@@ -59,10 +58,28 @@ def test_the_evidence_is_the_gaussian_integral(noise: float) -> None:
         assert log == pytest.approx(explicit, abs=2e-3)
 
 
+def test_effects_marginalised_after_the_rest_are_marginalised_together() -> None:
+    """Whether columns are marginalised at once or in two steps changes nothing; the rest alone is got back."""
+    residual, flat, soft = (RANDOM.standard_normal(size) for size in (ROWS, (3, ROWS), (4, ROWS)))
+    variance, score_bias, noise = RANDOM.uniform(0.1, 3, 4), RANDOM.standard_normal(7), 1.3
+    at_once = Beside.of(residual, flat, soft, variance, score_bias, noise)
+    rest = Beside.of(residual, flat, soft[:2], variance[:2], score_bias[:5], noise)
+    after = rest.with_effects(soft[2:], variance[2:], score_bias[5:])
+    other = RANDOM.standard_normal((2, ROWS))
+    for one, same in ((at_once, after), (rest, after.rest())):
+        assert same.square == pytest.approx(one.square)
+        assert same.log_determinant == pytest.approx(one.log_determinant)
+        assert same.solution()[0] == pytest.approx(one.solution()[0])
+        assert same.see(other, np.ones(2)).score == pytest.approx(one.see(other, np.ones(2)).score)
+        assert same.left() == pytest.approx(one.left())
+    assert after.signal() == pytest.approx(-soft[2:].T @ after.solution()[0][5:] / noise)
+
+
 def test_a_family_may_be_the_deviation_of_the_signal_that_it_could_explain() -> None:
     """Half of it, if the signal is as far from the family as along it; what the parameters explain does not count."""
     flat, one, other, apart = np.linalg.qr(RANDOM.standard_normal((ROWS, 4)))[0].T[:, None]
-    beside = Beside(40 * (one + other)[0], flat, one + other, np.full(1, 1e6), np.zeros(2), 2.0, effects=1)
+    rest = Beside.of(40 * (one + other)[0], flat, flat[:0], np.zeros(0), np.zeros(1), 2.0)
+    beside = rest.with_effects(one + other, np.full(1, 1e6), np.zeros(1))
     rows = np.concatenate([one + 0.5 * flat, apart, 3 * one + apart, other - apart, 0 * one, 2 * flat])
     batches = tuple(
         Batch(np.array([places]), (rows[places] @ rows[places].T)[None], (name,), ({},), np.zeros(1))
@@ -86,7 +103,7 @@ def test_what_is_marginalised_has_its_mean_and_covariance() -> None:
     flat, soft = RANDOM.standard_normal((2, ROWS)), RANDOM.standard_normal((2, ROWS))
     variance, noise = np.array([0.5, 2.0]), 1.3
     residual = RANDOM.standard_normal(ROWS)
-    value, covariance = Beside(residual, flat, soft, variance, np.zeros(4), noise).solution()
+    value, covariance = Beside.of(residual, flat, soft, variance, np.zeros(4), noise).solution()
     rows = np.concatenate([flat, soft])
     information = rows @ rows.T / noise**2 + np.diag(np.concatenate([np.zeros(2), 1 / variance]))
     np.testing.assert_allclose(covariance, np.linalg.inv(information), rtol=1e-6)
@@ -254,7 +271,7 @@ def test_a_second_step_is_no_form_of_the_first() -> None:
         ]
         for at in (50, 140)
     )
-    assert set(weak) & set(kept(tree, best))
+    assert set(weak) & set(best.kept)
     powers = best.of_terms.powers(range(len(terms)))
     assert max(powers[i, i] for i in weak) < PRIOR.form * max(powers[i, i] for i in strong)
 

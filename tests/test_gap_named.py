@@ -21,13 +21,12 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active
-from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.naming.named import _each_once, _parts, named
 from magyc_gtsam.gap.outcome.outcome import gap_of
-from magyc_gtsam.gap.scores.look import ScoreTests, look
+from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.report.gap_words import key_numbers
 
-Looked = tuple[ScoreTests, Answer, Refit, SensorNoise]
+Looked = tuple[First, Answer, SensorNoise]
 
 
 @pytest.fixture(scope="module")
@@ -36,15 +35,14 @@ def looked() -> Looked:
     recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
     noise = short_term_noise(recording)
     base = base_model(recording, None, noise)
-    first = look(recording, base, ("timing", "eddy-plane", "cubic"), np.random.default_rng(0))
-    return first, answer(recording, base, noise, NAMES), base, noise
+    return First(recording, base), answer(recording, base, noise, NAMES), noise
 
 
 def gap_by(looked: Looked, posterior: Mapping[Set, float]) -> mg.Gap:
     """What is told of it under a posterior."""
-    first, said, base, noise = looked
-    result = named(replace(said, posterior=dict(posterior)), first, base, noise)
-    return gap_of(result, base, noise, None, NAMES, (), 0.0)
+    first, said, noise = looked
+    result = named(replace(said, posterior=dict(posterior)), first, noise)
+    return gap_of(result, noise, None, NAMES, (), 0.0)
 
 
 def test_a_probable_effect_is_named_and_corrected(looked: Looked) -> None:
@@ -101,13 +99,13 @@ def test_rivals_are_named_together(looked: Looked) -> None:
 def test_the_variation_of_the_field_is_named_by_its_own_probability(
     looked: Looked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, said, base, noise = looked
+    first, said, noise = looked
     bare = said.tree.nodes[()]
     variation = replace(field_variation(bare.fit.twin), gain=100.0)
     monkeypatch.setattr(said.tree, "nodes", {(): replace(bare, variation=variation)})
     for unknown, verdict in ((0.0, "closed"), (0.2, "closed"), (0.95, "open")):
         posterior = {((FIELD_VARIATION,), False): 1 - unknown, ((FIELD_VARIATION,), True): unknown}
-        gap = gap_by((first, said, base, noise), posterior)
+        gap = gap_by((first, said, noise), posterior)
         assert gap.names == (FIELD_VARIATION,)
         assert gap.effects[0].ambiguous_with == ("field-gradient",)  # there is no position
         assert gap.verdict == verdict

@@ -9,15 +9,14 @@ from scipy.signal import lfilter
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.evidence.neighbours import neighbours, product_of
+from magyc_gtsam.gap.isolability import isolability
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.samples.first import NOISE_LIMIT
 from magyc_gtsam.gap.samples.noise_effects import coloured_noise, tone
 from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
 from magyc_gtsam.gap.samples.wrong_samples import spikes
-from magyc_gtsam.gap.scores.isolability import isolability
-from magyc_gtsam.gap.scores.look import NOISE_LIMIT
-from magyc_gtsam.gap.scores.neighbours import neighbours, product_of
-from magyc_gtsam.gap.scores.null import TAIL, largest_surprises, surprises, tail
 from magyc_gtsam.simulation.environment import CHANNELS
 
 
@@ -49,18 +48,6 @@ def test_neighbours_are_products(twin: Twin) -> None:
     assert neighbours(twin, "tone", {"frequency": 1.0}) == []
     assert product_of("timing×speed") == "timing"
     assert product_of("rate×field") is product_of("timing") is None
-
-
-def test_largest_of_many_is_that_of_each() -> None:
-    random = np.random.default_rng(0)
-    ranks = np.array([1, 3, 3, 0, 9])
-    statistic = random.chisquare(np.maximum(ranks, 1)[:, None], (5, 50)) * (ranks > 0)[:, None]
-    every = np.sort(surprises(statistic, ranks).max(axis=0))
-    for count in (6, 50):
-        np.testing.assert_allclose(largest_surprises(statistic, ranks, count), every[-count:])
-    level, slope = tail(statistic, ranks)
-    assert level == pytest.approx(np.quantile(every, TAIL))
-    assert slope == pytest.approx(max((every[every > level] - level).mean(), 1.0))
 
 
 def test_noise_is_found_from_its_level_on() -> None:

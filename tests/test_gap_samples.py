@@ -13,15 +13,17 @@ from scipy.stats import chi2
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES, TERMS
+from magyc_gtsam.gap.evidence.beside import Beside, solved
+from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import determined, refit, with_term
-from magyc_gtsam.gap.model.variants import Projector, variants
 from magyc_gtsam.gap.naming.found import Found, term_places
 from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.preparation.discrete import settled
+from magyc_gtsam.gap.samples.first import NOISE_LIMIT
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, sample_hold, tone
-from magyc_gtsam.gap.scores.look import NOISE_LIMIT
 
 
 def test_a_tone_faster_than_the_windows_is_sized_and_taken_out() -> None:
@@ -209,11 +211,10 @@ def test_a_fitted_scale_leaves_no_score_bias() -> None:
             base.twin.problem, with_term(base.model, Active("gyro-scale", {"z": 1.0}, np.zeros(1))), short_term
         )
         twin = scaled.twin
-        project = Projector(twin.base_columns, twin.base_score_bias)
-        (rest,) = variants(twin, project, "gyro-scale", [{}])
-        d = rest.score(project(twin.residual().reshape(1, -1))[0])
-        statistics.append(float(d @ d))
-        assert len(d) == 5
+        made = Candidates.of_parts(twin, [at_settings(twin, "gyro-scale", [{}])])
+        rest = weigh(made, Beside.of_model(twin))["gyro-scale"]
+        statistics.append(rest.statistic)
+        assert solved(rest.information, rest.score, np.diag(made.batches[0].gram[0]))[1] == 5
     assert np.mean(statistics) < 10
     assert max(statistics) < chi2.isf(1e-4, 5)
 

@@ -7,13 +7,14 @@ import pytest
 
 from magyc_gtsam import Recording, find_gap, simulate
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import refit, with_term
 from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.naming.named import Named
 from magyc_gtsam.gap.naming.one_jump import with_one_jump
-from magyc_gtsam.gap.scores.look import look
+from magyc_gtsam.gap.samples.first import First
 
 JUMP = np.array([-4e-6, 2e-6, -15e-6])  # T
 
@@ -59,9 +60,9 @@ def test_two_steps_beside_one_window_are_one_jump_inside_it(jumps: int) -> None:
     for at in (start, end):
         model = with_term(model, Active("hard-iron-step", {"time": float(at)}, np.zeros(3)))
     fitted = refit(problem_of(recording), model, noise)
-    first = look(recording, fitted, ("hard-iron-step",), np.random.default_rng(0))
-    found = (Found("hard-iron-step", 900.0, 20.0),) * 2
-    result = with_one_jump(Named(recording, fitted.twin.problem, first, fitted, found, (), {}), noise)
+    first, tree = First(recording, fitted), Tree(base, ())
+    found = (Found("hard-iron-step", 900.0),) * 2
+    result = with_one_jump(Named(recording, fitted.twin.problem, first, tree, fitted, found, (), {}), noise)
     assert len(result.found) == jumps
     if jumps == 1:
         (step,) = result.fitted.model.terms

@@ -14,15 +14,18 @@ from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.effects.forms import FORMS
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.beside import Beside, solved
+from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
 from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.refit import refit, with_term
 from magyc_gtsam.gap.model.twin import Columns, Twin
-from magyc_gtsam.gap.model.variants import Projector, variant, variants
+from magyc_gtsam.gap.outcome.held_out import held_out_gain, interleaved
 from magyc_gtsam.gap.samples.noise_effects import coloured_noise, quantisation, sample_hold, tone
-from magyc_gtsam.gap.samples.wrong_samples import spikes
-from magyc_gtsam.gap.scores.null import memory
-from magyc_gtsam.gap.scores.score import held_out_gain, interleaved
+from magyc_gtsam.gap.samples.wrong_samples import memory, spikes
 
 
 @pytest.fixture(scope="module")
@@ -139,20 +142,22 @@ def test_eliminating_the_candidate_last_in_gtsam_gives_the_same_statistic(twin: 
     ordering.push_back(base)
     ordering.push_back(value)
     last = graph.eliminateSequential(ordering).at(n + 1)
-    mine = variant({}, twin.whiten(columns), Projector(twin.base_columns))
-    d = mine.score(Projector(twin.base_columns)(twin.residual().reshape(1, -1))[0])
-    assert last.d() @ last.d() == pytest.approx(d @ d, rel=2e-3)
-    np.testing.assert_allclose(np.linalg.solve(last.R(), last.d()), -mine.back @ d, rtol=2e-2, atol=1e-3)
+    rows = twin.whiten(columns)
+    seen = Beside.of_model(twin).see(rows, np.zeros(len(rows)))
+    value, _ = solved(rows @ rows.T - seen.reach @ seen.reach.T, seen.score)
+    assert last.d() @ last.d() == pytest.approx(seen.score @ value, rel=2e-3)
+    np.testing.assert_allclose(np.linalg.solve(last.R(), last.d()), -value, rtol=2e-2, atol=1e-3)
+
+
+def weighed(twin: Twin, name: str) -> Weighed:
+    return weigh(Candidates.of_parts(twin, [at_settings(twin, name, [{}])]), Beside.of_model(twin))[name]
 
 
 def test_the_score_test_promises_what_the_refit_finds() -> None:
     simulation = mg.simulate("wide", duration=300, seed=6, delay=0.02)
     short_term = short_term_noise(simulation.recording)
     base = base_model(simulation.recording, None, short_term)
-    project = Projector(base.twin.base_columns)
-    (late,) = variants(base.twin, project, "timing", [{}])
-    d = late.score(project(base.twin.residual().reshape(1, -1))[0])
-    promised = float((-late.back @ d)[0])
+    promised = float(weighed(base.twin, "timing").estimate[0][0]) * TERMS["timing"].matters
     found = refit(base.twin.problem, with_term(base.model, Active("timing", {}, np.zeros(1))), short_term)
     value, covariance = found.value_of(0)
     assert value[0] == pytest.approx(0.02, abs=4 * np.sqrt(covariance[0, 0]))
@@ -165,10 +170,7 @@ def test_the_gyroscopes_noise_pulls_no_scale() -> None:
     for seed in range(6):
         recording = mg.simulate("moderate", duration=300, seed=seed).recording
         twin = base_model(recording, None, short_term_noise(recording)).twin
-        project = Projector(twin.base_columns)
-        (scale,) = variants(twin, project, "gyro-scale", [{}])
-        d = scale.score(project(twin.residual().reshape(1, -1))[0])
-        statistics.append(float(d @ d))
+        statistics.append(weighed(twin, "gyro-scale").statistic)
     assert np.mean(statistics) < 11  # of χ² with 6 degrees of freedom
     assert max(statistics) < chi2.isf(1e-4, 6)
 

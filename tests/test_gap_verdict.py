@@ -81,7 +81,7 @@ def effect(name: str) -> Effect:
     setting = {"time": 41.0, "time_sigma": 1.0}
     value = np.array([0.5, 0.25, 0.125])
     return Effect(
-        name, LABELS[name], value, value / 9, ("x", "y", "z"), "µT", setting, (), 9.0, 5.0, True, "word " * 40
+        name, LABELS[name], value, value / 9, ("x", "y", "z"), "µT", setting, (), 9.0, True, "word " * 40
     )
 
 

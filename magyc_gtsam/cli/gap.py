@@ -200,7 +200,7 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
     from magyc_gtsam.simulation.environment import CHANNELS
 
     recording = simulate(motion, channels=CHANNELS).recording
-    from magyc_gtsam.gap.scores.isolability import isolability
+    from magyc_gtsam.gap.isolability import isolability
     from magyc_gtsam.report.gap_words import PLAN, plan_rows
     from magyc_gtsam.storage.json_types import json_types
 

@@ -6,9 +6,9 @@ from typing import Any
 
 from magyc_gtsam.factors.lazy import attribute
 from magyc_gtsam.gap.find import find_gap
+from magyc_gtsam.gap.isolability import isolability
 from magyc_gtsam.gap.outcome.agreement import Metrics
 from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Isolability
-from magyc_gtsam.gap.scores.isolability import isolability
 
 __all__ = ["Effect", "Gap", "Hypothesis", "Isolability", "Metrics", "find_gap", "isolability", "term_factor"]
 

@@ -7,14 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import overload
 
-import numpy as np
-
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
-from magyc_gtsam.gap.effects import NAMES, TERMS
+from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
@@ -31,8 +29,8 @@ from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.preparation.noiseless import noiseless
 from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.tones import silenced
-from magyc_gtsam.gap.scores.look import look
 from magyc_gtsam.gap.simulated import SimulatedGap, compare
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
@@ -128,8 +126,7 @@ def _side(
 
 
 def _side_of(gap: Gap, result: Named) -> SimulatedGap:
-    tested, fitted = result.first.tested, widened(result.fitted)
-    return SimulatedGap(gap, look(result.recording, fitted, tested, np.random.default_rng(0)))
+    return SimulatedGap(gap, widened(result.fitted))
 
 
 def _gap_and_named(
@@ -160,13 +157,12 @@ def _gap_and_named(
         gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
         gap = with_clipped(gap, usable.clipped)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
-    first = look(recording, base, tuple(name for name in names if name in TERMS), np.random.default_rng(0))
-    report(0.3)
+    first = First(recording, base)
     said = answer(recording, base, short_term, names, discrete, first.fine)
     report(0.8)
-    result = with_one_jump(named(said, first, base, short_term), short_term)
+    result = with_one_jump(named(said, first, short_term), short_term)
     result = without_samples_of_steps(recording, result)
-    gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
+    gap = gap_of(result, short_term, calibration, names, discrete, clock.perf_counter() - started)
     gap = with_clipped(gap, usable.clipped)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
 

@@ -44,8 +44,7 @@ class Effect:
         unit: unit of the values: "ms", "µT", "µT/A", "mrad", ….
         setting: parameters found by a grid search: {"time": 41.5} s, {"frequency": 2.1} Hz, …; empty for most effects.
         ambiguous_with: names of rival effects that this motion cannot distinguish from it.
-        statistic, threshold: Wald statistic of the values beside the other effects, and the family-wise 1 % level of
-            the effect's score test.
+        statistic: Wald statistic of the values beside the other effects.
         applied: whether `gap.calibration` corrects the effect.
         sentence: one line for a navigator.
         probability: posterior probability that the effect is present, from the evidence of all sets of effects. It is
@@ -61,7 +60,6 @@ class Effect:
     setting: Mapping[str, float]
     ambiguous_with: tuple[str, ...]
     statistic: float
-    threshold: float
     applied: bool
     sentence: str
     probability: float = 1.0
@@ -84,9 +82,9 @@ class Hypothesis:
         name: name in the catalogue, or of a generic family (`generic` is then True).
         label: the name in words.
         generic: True for a family without physical meaning, which shows WHERE something is missing.
-        statistic: twice the gain in log-likelihood at the best grid point.
-        threshold: family-wise 1 % level of the statistic, from a parametric bootstrap.
-        significant: whether the statistic passes the threshold; an effect on the noise must also have its form.
+        evidence: gain in log evidence, nats, averaged over values and settings.
+        significant: whether that exceeds the odds against one more effect; an effect on the noise must also have its
+            form.
         parameters: number of parameters.
         expected, sigma: (k,) estimate and standard deviation if the effect were added, in `unit`.
         unit: unit of the values; empty for a generic family.
@@ -104,8 +102,7 @@ class Hypothesis:
     name: str
     label: str
     generic: bool
-    statistic: float
-    threshold: float
+    evidence: float
     significant: bool
     parameters: int
     expected: Array

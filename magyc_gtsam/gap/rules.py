@@ -16,7 +16,6 @@ class Rules:
     """
 
     # What is tested and corrected.
-    ahead: float = 9.0  # nats by which an effect must lead other changes, if a channel is missing
     # share of the entries in which single axes repeat, above which the steps are coarse
     alone_axis: float = 0.1
     as_good: float = 0.09  # share of the circular shifts that may explain as much
@@ -27,7 +26,6 @@ class Rules:
     coarse: float = 0.7  # step in sigmas above which quantisation is an effect
     coloured: float = 3.0  # standard deviations above which an autocorrelation is significant
     contradicted: float = 4.0  # sigmas above which the data contradict a parameter of a given calibration
-    determined: float = 4.0  # sigma, in smallest values that matter, up to which a motion determines a value
     # sigma, relative to the prior's, up to which the data determine a direction of the values
     determined_by_data: float = 0.75
     # probability of any name by chance, all candidates together, in a recording without an effect
@@ -102,7 +100,6 @@ class Rules:
     # Effects and families.
     block: float = 10.0  # s, of a held-out block at most
     knots_apart: float = 4.0  # s between knots of a spline in time, at least
-    determined_rate: float = 0.016  # sigma to which the motion must determine a scale or an angle of a family
     one_vector: int = 3  # values; more are determined unequally by a motion, and need a prior from the data
     unlike_delay: float = 0.7  # times a delay, by which plates differ from it: one plate by 2.4, one per axis by 0
     far_from_zero: float = 30.0  # deviations above which a channel's 0 need not be the point without current
@@ -115,7 +112,7 @@ class Rules:
     # What could not be found.
     found_with: float = 0.9  # probability with which the smallest nameable strength is found
     would_be_found: float = 0.8  # probability from which a candidate that is not significant is rejected
-    confused: float = 0.5  # share of the trials above which another name counts as confused with it
+    confused: float = 0.25  # share of the trials above which another name counts as confused with it
 
 
 RULES = Rules()

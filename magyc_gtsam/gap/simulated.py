@@ -7,7 +7,7 @@ each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from itertools import zip_longest
 from typing import NamedTuple
 
@@ -17,20 +17,22 @@ from scipy.stats import norm
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech, vech
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import Candidates, settings_of, what_matters
+from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.result import Assumption, Effect, Gap
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.look import ScoreTests
 
 _Row = tuple[str, float, float, float, str]
 _AXES = ("x", "y", "z")
 
 
 class SimulatedGap(NamedTuple):
-    """The result for one of the two recordings: the gap, and the score tests of the model with its effects."""
+    """The result for one of the two recordings: the gap, and the model with its effects."""
 
     gap: Gap
-    last: ScoreTests
+    fitted: Refit
 
 
 def compare(measured: SimulatedGap, simulated: SimulatedGap) -> tuple[Assumption, ...]:
@@ -41,7 +43,7 @@ def compare(measured: SimulatedGap, simulated: SimulatedGap) -> tuple[Assumption
     Returns:
         Rejected assumptions first; last, those that one recording could not test.
     """
-    models = measured.last.refit, simulated.last.refit
+    models = measured.fitted, simulated.fitted
     rows = [*_noise(*models), *_parameters(*models), *_unnamed(measured, simulated)]
     pairs = list(_pairs(measured.gap.effects, simulated.gap.effects))
     rows += [_row(own, other) for own, other in pairs if own is not None and other is not None]
@@ -170,22 +172,27 @@ def _parameters(measured: Refit, simulated: Refit) -> Iterator[_Row]:
 def _unnamed(measured: SimulatedGap, simulated: SimulatedGap) -> Iterator[_Row]:
     """Yield the effects with one setting that were found in neither, by their most different parameter."""
     found = {*measured.gap.names, *simulated.gap.names}
-    by_name = {score.name: score for score in simulated.last.scores}
-    for score in measured.last.scores:
-        other = by_name.get(score.name)
-        if score.generic or score.name in found or other is None or len(score.expected) != len(other.expected):
+    own, other = (_estimates(each.fitted, found) for each in (measured, simulated))
+    for name in (name for name in own if name in other):
+        term, (second, more), (first, less) = TERMS[name], own[name], other[name]
+        if len(first) != len(second):
             continue
-        if len(score.variants) > 1:  # values at different settings are different quantities
-            continue
-        term = TERMS[score.name]
-        sigma = np.sqrt(np.diag(score.covariance) + np.diag(other.covariance))
-        worst = int(np.argmax(np.abs(score.expected - other.expected) / np.maximum(sigma, 1e-300)))
-        part = term.names(len(score.expected))[worst]
-        values = other.expected[worst] * term.scale, score.expected[worst] * term.scale
-        yield (
-            f"{term.label}, {part}",
-            float(values[0]),
-            float(values[1]),
-            float(sigma[worst] * term.scale),
-            term.unit,
-        )
+        sigma = np.sqrt(np.diag(more) + np.diag(less))
+        worst = int(np.argmax(np.abs(second - first) / np.maximum(sigma, 1e-300)))
+        what = f"{term.label}, {term.names(len(first))[worst]}"
+        before, after, deviation = (float(each[worst] * term.scale) for each in (first, second, sigma))
+        yield what, before, after, deviation, term.unit
+
+
+def _estimates(fitted: Refit, found: Collection[str]) -> dict[str, tuple[Array, Array]]:
+    """Return {effect with one setting that is not in a model: its estimate (k,) and covariance (k, k), SI}."""
+    twin = fitted.twin
+    # Values at different settings are different quantities.
+    names = [name for name, term in TERMS.items() if name not in found and not term.missing(twin)]
+    candidates = Candidates.of(twin, [name for name in names if len(settings_of(twin, name)) == 1], ())
+    result = {}
+    for name, one in weigh(candidates, Beside.of_model(twin)).items():
+        value, covariance = one.estimate
+        unit = what_matters(twin, name, one.setting, len(value))
+        result[name] = value * unit, covariance * np.outer(unit, unit)
+    return result

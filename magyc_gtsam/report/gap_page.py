@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from magyc_gtsam.gap.evidence.detectable import ENOUGH
 from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.recording import Recording
@@ -46,6 +47,7 @@ def render_gap(
         per_cent=gap_words.per_cent,
         probabilities=gap_words.probability_sentence(gap),
         evidence=gap_words.evidence_rows(gap.hypotheses),
+        enough=ENOUGH,
         hypothesis_header=(*gap_words.HYPOTHESES, "in words"),
         significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant], explained=True),
         other_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if not h.significant], explained=True),

@@ -14,7 +14,7 @@ from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
 _SHOWN = 0.005  # probability from which it is shown
-HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "probability", "expected")
+HYPOTHESES = ("hypothesis", "status", "evidence (nats)", "probability", "expected")
 _LEAST_PROBABILITY, _MOST_PROBABILITIES = 0.01, 6  # smallest probability in a sentence, and number of them
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "change (σ)")
@@ -95,13 +95,12 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
 
     With `explained`, a last column gives the reason.
     """
-    ordered = sorted(hypotheses, key=lambda h: (h.status != "named", -h.statistic / max(h.threshold, 1e-12)))
+    ordered = sorted(hypotheses, key=lambda h: (h.status != "named", -h.evidence))
     return [
         [
             hypothesis_label(h),
-            "rejected: of another form" if h.status == "rejected" and h.statistic > h.threshold else h.status,
-            f"{h.statistic:.1f}",
-            f"{h.threshold:.1f}",
+            h.status,
+            f"{h.evidence:.1f}",
             f"{h.probability:.0%}" if h.probability >= _SHOWN else "",
             _expected(h),
             *([h.sentence] if explained else []),
@@ -111,13 +110,12 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
 
 
 def evidence_rows(hypotheses: Sequence[Hypothesis], most: int = 14) -> list[tuple[str, float, str, bool]]:
-    """Return (label, bar width in %, evidence over threshold as text, significant) per hypothesis, strongest first."""
-    shown = sorted(hypotheses, key=lambda h: -h.statistic / h.threshold)[:most]
-    ratio = [max(h.statistic / h.threshold, 1e-2) for h in shown]
-    top = np.log(100 * max([1.0, *ratio]))
+    """Return (label, bar width in %, evidence as text, significant) per hypothesis, strongest first."""
+    shown = sorted(hypotheses, key=lambda h: -h.evidence)[:most]
+    size = [float(np.log1p(max(h.evidence, 0.0))) for h in shown]
     return [
-        (hypothesis_label(h), float(100 * np.log(100 * r) / top), f"{r:.2g} ×", h.significant)
-        for h, r in zip(shown, ratio, strict=True)
+        (hypothesis_label(h), 100 * each / max([1.0, *size]), f"{h.evidence:.3g} nats", h.significant)
+        for h, each in zip(shown, size, strict=True)
     ]
 
 

@@ -58,7 +58,6 @@ SCALE = EffectTerm(
     say=_say_scale,
     motion="turn about all three axes, by several full turns each, slowly and fast",
     settings=lambda twin: [dict.fromkeys(AXES, 1.0), {}],
-    many_shapes=True,
 )
 QUADRATIC = EffectTerm(
     name="gyro-quadratic",
@@ -73,7 +72,6 @@ QUADRATIC = EffectTerm(
     motion="turn slowly and fast about each axis: the same turn at several rates",
     settings=_levels,
     refined=_levels_nearby,
-    many_shapes=True,
 )
 TEMPERATURE = EffectTerm(
     name="temperature-gyro",

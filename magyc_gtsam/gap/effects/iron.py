@@ -166,6 +166,5 @@ DRIFT = EffectTerm(
     say=_say_drift,
     motion="record longer, and log the temperature",
     settings=_drifts,
-    many_shapes=True,
     products=("reading", "gain"),
 )

@@ -1,6 +1,6 @@
 """`EffectTerm`: one interface for every effect that adds to a sensor's reading.
 
-The score test uses its `regressors`, the joint refit its `residual` and `prior`. The formulas are those of
+The evidence uses its `regressors`, the joint refit its `residual` and `prior`. The formulas are those of
 `factors.effects`, so that the effect that was tested is the one that is applied.
 """
 
@@ -49,7 +49,6 @@ class EffectTerm:
         most: number of such effects that one model may contain.
         possible: function that returns whether the effect can have fitted values (SI) at a setting; if not, the cause
             is another effect.
-        many_shapes: True if its values have many shapes; only those that the motion determines are tried.
         products: signals whose product with it is a neighbour to be distinguished from it; see `gap.neighbours`.
     """
 
@@ -68,7 +67,6 @@ class EffectTerm:
     block: Callable[[Setting], float] = lambda setting: RULES.block
     most: int = 1
     possible: Callable[[Twin, Array, Setting], bool] = lambda twin, value, setting: True
-    many_shapes: bool = False
     products: tuple[str, ...] = ()
 
     @property

@@ -11,7 +11,6 @@ from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
-from magyc_gtsam.gap.evidence.names import key_of
 from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, smoothed, without
 from magyc_gtsam.gap.evidence.posterior import (
@@ -76,10 +75,10 @@ def answer(
         level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.white))
         recording = smoothed(given, model, coarse, fine)
         problem = problem_of(recording)
-    tree = None
+    tree: Tree | None = None
     for turn in range(_ROUNDS):
         start = refit(problem, _bare(base.model, level), None)
-        tree = Tree(start, allowed, base.model.terms, tree.near if tree else ())
+        tree = Tree(start, allowed, base.model.terms, tree)
         before, model = recording, tree.best.fit.model
         if stepped and not turn:  # once more, with a better model
             recording = smoothed(given, model, coarse, fine_innovations(given, model))
@@ -129,7 +128,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
             left = node.beside.left()
             power = float(left @ left) - tree.freedom
             if power > PRIOR.form * node.explained:
-                colour, key = colour_of(left), key_of(tree, node)
+                colour, key = colour_of(left), node.present
                 with_colour = tuple(sorted((*key, COLOUR)))
                 each.append(SetWeight(with_colour, node.log + PRIOR.named + colour.alike))
                 log = node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way

@@ -7,13 +7,16 @@ noise in its own regressors) is projected in the same way.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.model.twin import Twin
 
+LEAST = 1e-7  # of the largest information, below which a direction is left out
 _RIDGE = 1e-10  # of a parameter's information, added so that undetermined directions have a solution
 
 
@@ -24,51 +27,95 @@ class Seen(NamedTuple):
     score: Array
 
 
+@dataclass(frozen=True, eq=False)
 class Beside:
     """The marginalised model.
 
     Attributes:
-        square: rᵀ M r.
-        log_determinant: of I + V N Nᵀ / ρ², after marginalisation of the parameters.
         noise: ρ.
         before: number of columns that are marginalised before those of effects.
+        _parameters: number of those without a prior.
+        _rows, _unit: (m, 3n) columns divided by ρ in units (m,): of 1 / |N| without a prior, of √v with one.
+        _residual: (3n,) r / ρ.
+        _lower: (m, m) Cholesky factor of H in these units.
+        _inner, _solved: (m,) L⁻¹ N r / ρ², without and with the score bias.
     """
 
-    def __init__(
-        self,
-        residual: Array,
-        flat: Array,
-        soft: Array,
-        variance: Array,
-        score_bias: Array,
-        noise: float = 1.0,
-        effects: int = 0,
-    ):
-        """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,); the
-        last `effects` of them belong to effects."""
+    noise: float
+    before: int
+    _parameters: int
+    _rows: Array
+    _unit: Array
+    _residual: Array
+    _lower: Array
+    _inner: Array
+    _solved: Array
+
+    @classmethod
+    def of(
+        cls, residual: Array, flat: Array, soft: Array, variance: Array, score_bias: Array, noise: float = 1.0
+    ) -> Beside:
+        """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,)."""
         size = np.sqrt(np.einsum("pn,pn->p", flat, flat))
-        size = np.where(size > 0, size, 1.0)
-        self._rows = np.concatenate([flat / size[:, None], soft * np.sqrt(variance)[:, None]]) / noise
-        score_bias = (
-            np.concatenate([score_bias[: len(flat)] / size, score_bias[len(flat) :] * np.sqrt(variance)])
-            / noise**2
-        )
+        unit = np.concatenate([1 / np.where(size > 0, size, 1.0), np.sqrt(variance)])
+        rows = np.concatenate([flat, soft]) * (unit / noise)[:, None]
         prior = np.concatenate([np.full(len(flat), _RIDGE / noise**2), np.ones(len(soft))])
-        normal = self._rows @ self._rows.T + np.diag(prior)
-        self._lower = cholesky(normal, lower=True, check_finite=False)
-        self.noise, self.before = noise, len(self._rows) - effects
-        self._size, self._deviation = size, np.sqrt(variance)
-        own = self._rows @ residual / noise
-        self._solved = solve_triangular(self._lower, own - score_bias, lower=True)
-        self._residual = residual / noise
-        inner = solve_triangular(self._lower, own, lower=True)
-        self.square = float(self._residual @ self._residual - inner @ inner)
-        self.log_determinant = 2 * float(np.log(np.diag(self._lower))[len(flat) :].sum())
+        lower = cholesky(rows @ rows.T + np.diag(prior), lower=True, check_finite=False)
+        own = rows @ residual / noise
+        inner = solve_triangular(lower, own, lower=True)
+        solved = solve_triangular(lower, own - score_bias * unit / noise**2, lower=True)
+        return cls(noise, len(rows), len(flat), rows, unit, residual / noise, lower, inner, solved)
+
+    @classmethod
+    def of_model(cls, twin: Twin) -> Beside:
+        """Marginalise the parameters and terms of a model, none with a prior."""
+        rows = twin.base_columns
+        return cls.of(twin.residual().ravel(), rows, rows[:0], np.zeros(0), twin.base_score_bias)
+
+    def with_effects(self, columns: Array, variance: Array, score_bias: Array) -> Beside:
+        """Marginalise the columns (k, 3n) of effects, with variances (k,) and score bias (k,), too."""
+        unit = np.sqrt(variance)
+        rows = columns * (unit / self.noise)[:, None]
+        reach = solve_triangular(self._lower, self._rows @ rows.T, lower=True).T
+        lower = cholesky(rows @ rows.T + np.eye(len(rows)) - reach @ reach.T, lower=True, check_finite=False)
+        own = rows @ self._residual
+        inner = solve_triangular(lower, own - reach @ self._inner, lower=True)
+        own = own - score_bias * unit / self.noise**2
+        solved = solve_triangular(lower, own - reach @ self._solved, lower=True)
+        return replace(
+            self,
+            _rows=np.concatenate([self._rows, rows]),
+            _unit=np.concatenate([self._unit, unit]),
+            _lower=np.block([[self._lower, np.zeros(reach.T.shape)], [reach, lower]]),
+            _inner=np.concatenate([self._inner, inner]),
+            _solved=np.concatenate([self._solved, solved]),
+        )
+
+    def rest(self) -> Beside:
+        """Return the model without its effects."""
+        m = self.before
+        return replace(
+            self,
+            _rows=self._rows[:m],
+            _unit=self._unit[:m],
+            _lower=self._lower[:m, :m],
+            _inner=self._inner[:m],
+            _solved=self._solved[:m],
+        )
+
+    @property
+    def square(self) -> float:
+        """Return rᵀ M r."""
+        return float(self._residual @ self._residual - self._inner @ self._inner)
+
+    @property
+    def log_determinant(self) -> float:
+        """Return that of I + V N Nᵀ / ρ², after marginalisation of the parameters."""
+        return 2 * float(np.log(np.diag(self._lower))[self._parameters :].sum())
 
     def solution(self) -> tuple[Array, Array]:
         """Return the minimum (q + k,) of what is marginalised, in the columns' units, and its covariance."""
-        scale = np.concatenate([1 / self._size, self._deviation])
-        inverse = solve_triangular(self._lower, np.diag(scale), lower=True)
+        inverse = solve_triangular(self._lower, np.diag(self._unit), lower=True)
         return -inverse.T @ self._solved, inverse.T @ inverse
 
     def left(self) -> Array:
@@ -89,3 +136,15 @@ class Beside:
         value = solve_triangular(self._lower, self._solved, lower=True, trans=1)
         result: Array = value[self.before :] @ self._rows[self.before :]
         return result
+
+
+def solved(information: Array, score: Array, size: Array | None = None) -> tuple[Array, int]:
+    """Return the values (k,) of an information (k, k) and score (k,) in any units, and the rank of the information.
+
+    `size`: (k,) squared lengths of the columns before marginalisation, of which some must be left.
+    """
+    scale = 1 / np.sqrt(np.maximum(np.diag(information) if size is None else size, 1e-300))
+    weight, vector = np.linalg.eigh(information * scale * scale[:, None])
+    kept = weight > LEAST * weight[-1]
+    value = scale * ((vector[:, kept] / weight[kept]) @ (vector[:, kept].T @ (scale * score)))
+    return value, int(kept.sum())

@@ -14,11 +14,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting, per_axis
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.generic import Family, families
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.field_variation import CORRELATION, waves
 from magyc_gtsam.gap.model.twin import Columns, Twin, together
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.generic import Family, families
 
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, setting, and its log prior
 Stack = tuple[Array, Array, list[Part]]
@@ -73,14 +73,16 @@ class Candidates:
         score_bias = np.concatenate([np.zeros(0), *(biases for _, biases, _ in stacks)])
         return cls(columns, score_bias, tuple(_batches(columns, groups)))
 
-    def only_names(self) -> Candidates:
-        """Return the candidates without the families."""
+    def only(self, wanted: Callable[[str], bool]) -> Candidates:
+        """Return the candidates of wanted names."""
         batches = []
         for batch in self.batches:
-            kept = [i for i, name in enumerate(batch.names) if name in TERMS]
+            kept = [i for i, name in enumerate(batch.names) if wanted(name)]
             if kept:
                 batches.append(batch.only(kept))
-        return Candidates(self.columns, self.score_bias, tuple(batches))
+        used = np.unique(np.concatenate([np.zeros(0, dtype=int), *(batch.rows.ravel() for batch in batches)]))
+        batches = [replace(batch, rows=np.searchsorted(used, batch.rows)) for batch in batches]
+        return Candidates(self.columns[used], self.score_bias[used], tuple(batches))
 
     def of_setting(self, name: str, setting: Setting) -> Array:
         """Return the columns (k, 3n) of an effect or family at one of its settings."""

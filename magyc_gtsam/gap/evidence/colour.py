@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 from scipy.special import logsumexp
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
@@ -91,7 +92,7 @@ def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
     """Return {names: (nats beside colour, colour)}, adding effects one by one, linearised at zero."""
     root = tree.nodes[()]
     innovation, base = root.beside.left(), root.fit.twin.base_columns
-    candidates = tree.candidates.only_names()
+    candidates = tree.candidates.only(TERMS.__contains__)
     result: dict[tuple[str, ...], tuple[float, Colour]] = {}
     names: tuple[str, ...] = ()
     log, left = 0.0, innovation
@@ -101,7 +102,7 @@ def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
         result[names] = log, colour
         white = partial(filtered, colour=colour)
         none = np.zeros(len(base) + len(soft))
-        beside = Beside(white(innovation), white(base), white(soft), variance, none)
+        beside = Beside.of(white(innovation), white(base), white(soft), variance, none)
         found = weigh(candidates.changed(white), beside)
         best = max((each for each in found.values() if each.name not in names), key=lambda each: each.log)
         if best.log + PRIOR.named < PRIOR.hardly_beside:
@@ -111,7 +112,7 @@ def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
         soft = np.concatenate([soft, own])
         scale = PRIOR.scales[int(np.argmax(best.by_scale))]
         variance = np.concatenate([variance, np.full(len(own), scale**2)])
-        value, _ = Beside(
+        value, _ = Beside.of(
             white(innovation), white(base), white(soft), variance, np.zeros(len(base) + len(soft))
         ).solution()
         left = innovation + value @ np.concatenate([base, soft])

@@ -39,17 +39,18 @@ class Terms:
     of_term: np.ndarray
     residual: Array
 
-    def beside(self, variation: FieldVariation | None, scale: Array | None = None) -> Beside:
-        """Marginalise the parameters and the field's variation; last the terms, if their scales are given."""
+    def beside(self, variation: FieldVariation | None) -> Beside:
+        """Marginalise the parameters and the field's variation."""
         noise = 1.0 if variation is None else variation.noise
         components = self.columns[:0] if variation is None else variation.components
-        columns = self.columns[:0] if scale is None else self.columns
-        own = np.zeros(0) if scale is None else scale[self.of_term] ** 2
-        variance = np.concatenate([np.full(len(components), noise**2), own])
         score_bias = np.zeros(len(self.base) + len(components))
-        score_bias = np.concatenate([score_bias, self.score_bias[: len(columns)]])
-        soft = np.concatenate([components, columns])
-        return Beside(self.residual, self.base, soft, variance, score_bias, noise, len(columns))
+        variance = np.full(len(components), noise**2)
+        return Beside.of(self.residual, self.base, components, variance, score_bias, noise)
+
+    def added_to(self, rest: Beside, scale: Array, without: int | None = None) -> Beside:
+        """Marginalise the terms, of scales (t,), beside the rest; all of them, or all but one."""
+        kept = self.of_term != (-1 if without is None else without)
+        return rest.with_effects(self.columns[kept], scale[self.of_term][kept] ** 2, self.score_bias[kept])
 
     @classmethod
     def of(cls, fit: Refit) -> Terms:
@@ -80,11 +81,17 @@ class Terms:
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """What the terms of a model explain beside the rest: information (k, k), score (k,) and term (k,) of each value."""
+    """What the terms of a model explain beside the rest.
+
+    Attributes:
+        information, score, of_term: (k, k), (k,) and term (k,) of each value.
+        nats: (t,) evidence that each term adds to the others.
+    """
 
     information: Array
     score: Array
     of_term: np.ndarray
+    nats: Array
 
     def powers(self, among: Sequence[int]) -> dict[tuple[int, int], float]:
         """Return the powers of some terms, without the others.
@@ -121,7 +128,7 @@ def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Exp
     """
     count = len(fit.model.terms)
     if not count:
-        return 0.0, np.zeros(0), Explained(np.zeros((0, 0)), np.zeros(0), terms.of_term), plain.square
+        return 0.0, np.zeros(0), Explained(np.zeros((0, 0)), np.zeros(0), terms.of_term, np.zeros(0)), plain.square
     seen = plain.see(terms.columns, terms.score_bias)
     information = terms.columns @ terms.columns.T / plain.noise**2 - seen.reach @ seen.reach.T
     score = seen.score
@@ -141,7 +148,12 @@ def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Exp
             tried = np.array([nats(np.where(np.arange(count) == i, one, scale)) for one in likely])
             scale[i] = likely[int(np.argmax(tried))]
             each.append(tried)
-    total = nats(scale) + sum(float(logsumexp(t) - t.max() - np.log(len(t))) for t in each)
+    spread = np.array([float(logsumexp(t) - t.max() - np.log(len(t))) for t in each])
+    total = nats(scale)
+    alone = np.array(
+        [total + own - nats(np.where(np.arange(count) == i, 0.0, scale)) for i, own in enumerate(spread)]
+    )
     inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
     value = inverse @ score
-    return total, scale, Explained(information, score, terms.of_term), plain.square - float(score @ value)
+    explained = Explained(information, score, terms.of_term, alone)
+    return total + float(spread.sum()), scale, explained, plain.square - float(score @ value)

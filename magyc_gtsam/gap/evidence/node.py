@@ -10,11 +10,15 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.laplace import Explained
-from magyc_gtsam.gap.evidence.weighing import Weighed
+from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates
+from magyc_gtsam.gap.evidence.laplace import Explained, Terms
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
 from magyc_gtsam.gap.model.field_variation import FieldVariation
+from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.refit import Refit
-from magyc_gtsam.gap.model.variants import Projector
+from magyc_gtsam.gap.rules import RULES
 
 FIELD_VARIATION = "field-variation"
 
@@ -32,6 +36,7 @@ class Node:
         misfit: mean square of the residual, in its noise.
         explained: power that the set explains.
         of_terms: what each of its terms explains.
+        scales: (t,) the most probable scale of each term's values.
         beside: the marginalised set, beside which candidates are tested.
         found: the candidates tested beside it.
         moving: nats of a variation like that of the field, but in the sensor's axes: of an unknown effect.
@@ -46,6 +51,7 @@ class Node:
     misfit: float
     explained: float
     of_terms: Explained
+    scales: Array
     beside: Beside
     found: dict[str, Weighed] = field(default_factory=dict)
     moving: list[float] = field(default_factory=list)
@@ -55,6 +61,51 @@ class Node:
     def key(self) -> tuple[str, ...]:
         """Return the names, sorted."""
         return tuple(sorted(self.names))
+
+    @cached_property
+    def kept(self) -> list[int]:
+        """Return the terms that exceed the deviation from its form of another one or of the field variation.
+
+        If each of two terms may be the deviation of the other, the one with more evidence remains. The terms are left
+        out one by one, the least evident first, since another one explains more without them.
+        """
+        terms = self.fit.model.terms
+        result = sorted(range(len(terms)), key=lambda one: -self.of_terms.nats[one])
+        while True:
+            powers = self.of_terms.powers(result)
+            for place in reversed(range(len(result))):
+                index, stronger = result[place], result[:place]
+                deviations = [
+                    PRIOR.form_of_field * self.of_field,
+                    *(PRIOR.form * powers[index, j] for j in stronger),
+                ]
+                passed = any(_one_passing(terms[index], terms[other]) for other in stronger)
+                if passed or powers[index, index] <= max(deviations):
+                    del result[place]
+                    break
+            else:
+                return sorted(result)
+
+    @cached_property
+    def powers(self) -> dict[str, float]:
+        """Return the power that each name explains: of the kept terms, of the field variation and coloured noise."""
+        powers = self.of_terms.powers(self.kept)
+        result: dict[str, float] = {}
+        for index in self.kept:
+            name = self.fit.model.terms[index].name
+            result[name] = result.get(name, 0.0) + powers[index, index]
+        if self.variation is not None:  # the effects may explain all of it
+            if self.variation.evident:
+                result[FIELD_VARIATION] = self.of_field
+            colour, contained = self.of_colour
+            if colour > PRIOR.form * contained:
+                result[COLOUR] = 0.0
+        return result
+
+    @property
+    def present(self) -> tuple[str, ...]:
+        """Return the names of the kept terms, with field variation and coloured noise if these are evident, sorted."""
+        return tuple(sorted(self.powers))
 
     @cached_property
     def left(self) -> Array:
@@ -93,6 +144,17 @@ class Node:
         information = columns @ columns.T + np.eye(len(columns))
         return float(own @ own), float(signal @ np.linalg.solve(information, signal))
 
+    def replaceable(self, index: int, candidates: Candidates) -> bool:
+        """Return whether a rival of a term explains at least half of what the term does beside the others."""
+        name = self.fit.model.terms[index].name
+        rivals = candidates.only(lambda each: each in TERMS and each != name and related(each, name))
+        half = 0.5 * (self.of_terms.nats[index] + PRIOR.named)
+        return any(each.log + PRIOR.named > half for each in weigh(rivals, self.beside_without(index)).values())
+
+    def beside_without(self, index: int) -> Beside:
+        """Return the marginalised set without one of its terms, in its linear model."""
+        return Terms.of(self.fit).added_to(self.beside.rest(), self.scales, without=index)
+
     def key_with(self, name: str) -> tuple[str, ...]:
         """Return the key of the set with one more name."""
         return tuple(sorted((*self.names, name)))
@@ -105,3 +167,11 @@ class Node:
 def related(one: str, other: str) -> bool:
     """Return whether one effect is confused with the other according to the catalogue, or is the same."""
     return one == other or other in TERMS[one].rivals or one in TERMS[other].rivals
+
+
+def _one_passing(one: Active, other: Active) -> bool:
+    """Return whether two bumps belong to one passed object, whose field rotates meanwhile."""
+    if one.name != "local-anomaly" or other.name != one.name:
+        return False
+    widths = one.setting["width"] + other.setting["width"]
+    return abs(one.setting["time"] - other.setting["time"]) < RULES.span * widths

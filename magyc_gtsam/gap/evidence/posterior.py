@@ -13,13 +13,12 @@ from scipy.special import logsumexp
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.laplace import Terms
-from magyc_gtsam.gap.evidence.names import key_of, powers_of
+from magyc_gtsam.gap.evidence.neighbours import product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import Weighed
 from magyc_gtsam.gap.model.field_variation import field_variation
-from magyc_gtsam.gap.scores.neighbours import product_of
 
 Set = tuple[tuple[str, ...], bool]  # names, and True if an unknown effect is present
 
@@ -44,7 +43,7 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
     """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect."""
     tried = tree.nodes.keys() | tree.refused
     for node in tree.nodes.values():
-        key, powers = key_of(tree, node), powers_of(tree, node)
+        key, powers = node.present, node.powers
         form, (foreign, seen) = _families(tree, node, powers)
         log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
         yield SetWeight(key, log, None, powers)
@@ -52,7 +51,7 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
             yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
         for log, seen in _products(node, powers):
             yield SetWeight(key, node.log + log, seen, powers)
-        for less, log, seen in _imitated(tree, node, powers):
+        for less, log, seen in _imitated(node, powers):
             yield SetWeight(less, node.log + log, seen, powers)
         colour = None if COLOUR in node.names or node.variation is None else node.found.get(COLOUR)
         if colour is not None and node.key_with(COLOUR) not in tried:
@@ -126,9 +125,7 @@ def _generic(node: Node) -> list[Weighed]:
     return [e for e in node.found.values() if e.name not in named and product_of(e.name) in (None, *node.names)]
 
 
-def _imitated(
-    tree: Tree, node: Node, powers: Mapping[str, float]
-) -> Iterator[tuple[tuple[str, ...], float, float]]:
+def _imitated(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[tuple[str, ...], float, float]]:
     """Yield (other effects, nats, power) for each effect of a set being a part of an effect outside the catalogue.
 
     The rest of that effect is a family of a power tied to that of the effect, and too small to be detected beside it

@@ -17,6 +17,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Candidates, at_settings, settings_of
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
+from magyc_gtsam.gap.evidence.neighbours import neighbours
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
@@ -26,7 +27,6 @@ from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term, without_term
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.neighbours import neighbours
 
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
 _COLOURED = float(np.log(COLOURS))  # the same for that of coloured noise
@@ -38,7 +38,7 @@ class Tree:
     """The fitted sets of effects of one recording."""
 
     def __init__(
-        self, root: Refit, names: Sequence[str], given: Sequence[Active] = (), before: Sequence[Node] = ()
+        self, root: Refit, names: Sequence[str], given: Sequence[Active] = (), before: Tree | None = None
     ) -> None:
         """Grow the tree from a model without effects.
 
@@ -46,7 +46,8 @@ class Tree:
             root: the fit of that model.
             names: candidates.
             given: terms of a calibration, fitted in any case.
-            before: sets of nearly the same readings, from which the tree is grown.
+            before: tree of nearly the same readings: from its probable sets this one is grown, those that had no fit
+                are refused.
         """
         self._problem = root.twin.problem
         self.candidates = Candidates.of(root.twin, names)
@@ -54,8 +55,10 @@ class Tree:
         plain = terms.beside(None)
         self.square, self.freedom = plain.square, len(terms.residual) - len(terms.base)
         self.nodes: dict[tuple[str, ...], Node] = {}
-        self.refused: set[tuple[str, ...]] = set()  # sets with an impossible value, or without convergence
-        first = [self._node((), root, None, 0.0), *self._given(root, given), *self._again(root, before)]
+        # Sets with an impossible value, or without convergence.
+        self.refused: set[tuple[str, ...]] = set() if before is None else set(before.refused)
+        again = () if before is None else self._again(root, before.near)
+        first = [self._node((), root, None, 0.0), *self._given(root, given), *again]
         self.nodes |= {node.key: node for node in first}
         self._grow(first)
         while self._exchanged() or self._deepened():
@@ -106,10 +109,13 @@ class Tree:
         """Exchange an effect of the best set for one or two of its rivals; return whether a better set was found.
 
         The strongest single effect may resemble the sum of two others, as a drift does that of two jumps. One of the
-        two then explains at least half of what the effect does.
+        two then explains at least half of what the effect does, in the linear model of the best set, too: only then is
+        the set without the effect fitted.
         """
         best = self.best
         for index, term in enumerate(best.fit.model.terms):
+            if not best.replaceable(index, self.candidates):
+                continue
             node = self.less(best, index)
             half = 0.5 * (best.log - node.log)
             for option in islice(self._options(node, term.name), PRIOR.beam):
@@ -137,7 +143,7 @@ class Tree:
         Sets without a possible fit are skipped, those that were found to have none since the last candidate, too.
         """
         for each in best_of(node.found, len(TERMS)):
-            fits = instead_of is None or related(each.name, instead_of)
+            fits = instead_of is None or (each.name != instead_of and related(each.name, instead_of))
             if fits and not node.full(each.name) and node.key_with(each.name) not in self.refused:
                 yield each
 
@@ -221,7 +227,7 @@ class Tree:
         log = 0.5 * (self.square - plain.square - plain.log_determinant) + evidence
         log -= self.freedom * np.log(plain.noise) + (_VARIES if variation is not None else 0.0)
         log -= _COLOURED if COLOUR in names else 0.0
-        beside = terms.beside(variation, scales)
+        beside = terms.added_to(plain, scales)
         node = Node(
             names,
             fit,
@@ -231,6 +237,7 @@ class Tree:
             left / self.freedom,
             self.square / plain.noise**2 - left,
             of_terms,
+            scales,
             beside,
         )
         node.found.update(self._found(node))

@@ -7,7 +7,7 @@ no effect. The average over settings and scales accounts for the grid search.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.beside import Beside, Seen
+from magyc_gtsam.gap.evidence.beside import LEAST, Beside, Seen
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
 
@@ -38,6 +38,7 @@ class Weighed:
         tied: nats of a family whose power is a share of that of the named effects, averaged over shares: of a cause
             of which the named effects are a part.
         cell: log prior of the most probable setting.
+        information, score: (k, k) and (k,) of its values there, in units of what matters.
     """
 
     name: str
@@ -49,6 +50,19 @@ class Weighed:
     contained: float
     tied: float
     cell: float
+    information: Array
+    score: Array
+
+    @property
+    def estimate(self) -> tuple[Array, Array]:
+        """Return the estimate (k,) of the values at that setting, and its covariance, in units of what matters."""
+        covariance = np.asarray(np.linalg.pinv(self.information, rcond=LEAST, hermitian=True), dtype=float)
+        return -covariance @ self.score, covariance
+
+    @property
+    def statistic(self) -> float:
+        """Return twice the gain in log-likelihood at that setting."""
+        return float(-self.estimate[0] @ self.score)
 
     def less(self, search: float) -> Weighed:
         """Subtract the nats of a grid search that determined its columns."""
@@ -79,6 +93,7 @@ class _Part(NamedTuple):
         tied: nats averaged over shares.
         setting: the setting.
         prior: its log prior.
+        information, score: (k, k) and (k,) of the values.
     """
 
     log: Array
@@ -87,6 +102,8 @@ class _Part(NamedTuple):
     tied: float
     setting: Setting
     prior: float
+    information: Array
+    score: Array
 
 
 def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[str, Weighed]:
@@ -97,13 +114,13 @@ def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[st
     shared = _Shared.of(candidates, beside, seen)
     parts: dict[str, list[_Part]] = {}
     for batch in candidates.batches:
-        log, powers, tied = _by_scale(batch, beside.noise, seen.reach, seen.score, power)
+        information, score = information_of(batch, beside.noise, seen.reach), seen.score[batch.rows]
+        log, powers, tied = _by_scale(batch, beside.noise, information, score, power)
         contained = shared.contained(batch, beside.noise)
         for i, name in enumerate(batch.names):
             prior = float(batch.prior[i])
-            parts.setdefault(name, []).append(
-                _Part(log[i] + prior, powers[i], contained[i], tied[i] + prior, batch.settings[i], prior)
-            )
+            at = batch.settings[i], prior, information[i], score[i]
+            parts.setdefault(name, []).append(_Part(log[i] + prior, powers[i], contained[i], tied[i] + prior, *at))
     return {name: _averaged(name, many) for name, many in parts.items()}
 
 
@@ -134,28 +151,48 @@ class _Shared(NamedTuple):
         return result
 
 
+def information_of(batch: Batch, noise: float, reach: Array) -> Array:
+    """Return the information (B, k, k) of candidates with a reach (N, m) beside a model."""
+    own = reach[batch.rows]
+    result: Array = batch.gram / noise**2 - own @ own.swapaxes(1, 2)
+    return result
+
+
 def _by_scale(
-    batch: Batch, noise: float, reach: Array, score: Array, explained: float
+    batch: Batch, noise: float, information: Array, score: Array, explained: float
 ) -> tuple[Array, Array, Array]:
     """Return nats and powers (B, S), and the nats (B,) averaged over shares of the explained power."""
-    own = reach[batch.rows]
-    value, vector = np.linalg.eigh(batch.gram / noise**2 - own @ own.swapaxes(1, 2))
-    value = np.maximum(value, 0.0)[:, None]
-    rotated = np.einsum("bki,bk->bi", vector, score[batch.rows])[:, None]
+    value, vector = np.linalg.eigh(information)
+    value = np.maximum(value, 0.0)
+    rotated = np.einsum("bki,bk->bi", vector, score)
+    log = nats_by_scale(batch.names, value, rotated)
     variance = PRIOR.scales[:, None] ** 2
-    spread = 1 + variance * value
-    log = 0.5 * (rotated**2 * variance / spread - np.log(spread)).sum(axis=2)
-    share = variance / spread
-    power = ((share * rotated) ** 2 * value + share * value).sum(axis=2)
-    for i, name in enumerate(batch.names):
+    share = variance / (1 + variance * value[:, None])
+    power = ((share * rotated[:, None]) ** 2 * value[:, None] + share * value[:, None]).sum(axis=2)
+    whole = np.trace(batch.gram, axis1=1, axis2=2)[:, None, None] / noise**2
+    variance = PRIOR.shares[:, None] * explained / np.maximum(whole, 1e-12)
+    spread = 1 + variance * value[:, None]
+    tied = 0.5 * (rotated[:, None] ** 2 * variance / spread - np.log(spread)).sum(axis=2)
+    return log, power, np.logaddexp.reduce(tied, axis=1) - np.log(len(PRIOR.shares))
+
+
+def nats_by_scale(names: Sequence[str], value: Array, rotated: Array) -> Array:
+    """Return the nats (B, S, …) of candidates at each scale that their data sheets allow, as shares of the average.
+
+    Args:
+        names: (B,) of the candidates.
+        value: (B, k) eigenvalues of their information.
+        rotated: (B, k, …) scores along the eigenvectors.
+    """
+    variance = PRIOR.scales[:, None] ** 2
+    spread = 1 + variance * value[:, None]
+    gain = np.einsum("bsk,bk...->bs...", variance / spread, rotated**2)
+    log: Array = 0.5 * (gain - np.log(spread).sum(axis=2).reshape(gain.shape[:2] + (1,) * (gain.ndim - 2)))
+    for i, name in enumerate(names):
         likely = scales_of(name)
         log[i, ~likely] = -np.inf
         log[i] += np.log(len(likely) / likely.sum())
-    whole = np.trace(batch.gram, axis1=1, axis2=2)[:, None, None] / noise**2
-    variance = PRIOR.shares[:, None] * explained / np.maximum(whole, 1e-12)
-    spread = 1 + variance * value
-    tied = 0.5 * (rotated**2 * variance / spread - np.log(spread)).sum(axis=2)
-    return log, power, np.logaddexp.reduce(tied, axis=1) - np.log(len(PRIOR.shares))
+    return log
 
 
 def scales_of(name: str) -> np.ndarray:
@@ -187,6 +224,8 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
         many[best].contained,
         tied,
         many[best].prior,
+        many[best].information,
+        many[best].score,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.many.described import AddedEffect, told
 from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
@@ -20,7 +21,6 @@ from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.verdict import missing
-from magyc_gtsam.gap.scores.generic import families
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared

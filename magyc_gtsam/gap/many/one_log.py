@@ -14,21 +14,24 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.beside import Beside, solved
+from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings, settings_of, what_matters
+from magyc_gtsam.gap.evidence.generic import families
+from magyc_gtsam.gap.evidence.neighbours import neighbours
+from magyc_gtsam.gap.evidence.weighing import information_of
 from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope, problem_of
 from magyc_gtsam.gap.model.problem import Active, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
-from magyc_gtsam.gap.model.variants import Projector, Variant, variants
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.scores.score import candidates
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 
-_LEAST = 1e-10  # of the largest variance of a value, below which a direction is left out
+_LARGE = 1e3  # prior deviation in units of what matters, with which an effect explains all that it can
 _OF_THE_LOG = ("start", "end")  # settings that belong to one recording, as the references of channels do
 
 
@@ -111,62 +114,48 @@ class OneLog:
 
     def tests(self, names: Sequence[str]) -> dict[str, tuple[Test, ...]]:
         """Return {effect or generic family: its tests at all settings}."""
-        project, innovation = self._innovation
-        found = {
-            name: [one for one in many if len(one.unit)]
-            for name, (_, many) in candidates(self.refitted.twin, project, tuple(names)).items()
-        }
-        colour = self._colour(found, innovation)
-        return {name: tuple(_test(one, innovation, colour) for one in many) for name, many in found.items()}
+        twin = self.refitted.twin
+        beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
+        among = (*families(twin), *{f.name: f for f in beside}.values())
+        return self._tested(Candidates.of(twin, names, among))
 
     def tests_at(self, name: str, settings: Sequence[Mapping[str, float]]) -> tuple[Test, ...]:
         """Return the tests of an effect at settings of other logs, with this log's own references."""
         twin = self.refitted.twin
-        project, innovation = self._innovation
-        own = TERMS[name].settings(twin)
-        if not own or TERMS[name].missing(twin):
+        own = [] if TERMS[name].missing(twin) else settings_of(twin, name)
+        if not own:
             return ()
         here = {k: v for k, v in own[0].items() if k in _OF_THE_LOG or k.startswith("reference")}
         asked = [{k: v for k, v in s.items() if not k.startswith("reference")} | here for s in settings]
-        made = [one for one in variants(twin, project, name, asked) if len(one.unit)]
-        colour = self._colour({}, innovation)
-        return tuple(_test(one, innovation, colour) for one in made)
+        return self._tested(Candidates.of_parts(twin, [at_settings(twin, name, asked)])).get(name, ())
+
+    def _tested(self, candidates: Candidates) -> dict[str, tuple[Test, ...]]:
+        """Return {name: its tests}; autocorrelation, without what the best named effect explains, widens variances."""
+        twin, beside = self.refitted.twin, Beside.of_model(self.refitted.twin)
+        seen = beside.see(candidates.columns, candidates.score_bias)
+        best, most, made = beside, RULES.much, []
+        for batch in candidates.batches:
+            information = information_of(batch, beside.noise, seen.reach)
+            for i, name in enumerate(batch.names):
+                rows = batch.rows[i]
+                value, rank = solved(information[i], seen.score[rows], np.diag(batch.gram[i]))
+                gain = float(seen.score[rows] @ value)
+                if name in TERMS and gain - 2 * rank > most:
+                    most, large = gain - 2 * rank, np.full(len(rows), _LARGE**2)
+                    best = beside.with_effects(candidates.columns[rows], large, candidates.score_bias[rows])
+                made.append((name, batch.settings[i], gain, rank, information[i], seen.score[rows]))
+        colour = colour_of(best.left().reshape(3, -1))
+        tests: dict[str, tuple[Test, ...]] = {}
+        for name, setting, gain, rank, each, score in made:
+            unit = what_matters(twin, name, setting, len(score)) if name in TERMS else np.ones(len(score))
+            information, own = each / np.outer(unit, unit) / colour, -score / unit / colour
+            tests[name] = (*tests.get(name, ()), Test(dict(setting), gain / colour, rank, information, own))
+        return tests
 
     def noise(self) -> dict[str, NoiseScore]:
         """Return {effect on the noise, or corrected before the estimation: its test} for the present model."""
         fine = fine_innovations(self.recording, self.refitted.model)
         return {score.name: score for score in (*self.discrete, *noise_scores(self.recording, fine, MODEL.alone))}
-
-    @property
-    def _innovation(self) -> tuple[Projector, Array]:
-        twin = self.refitted.twin
-        project = Projector(twin.base_columns, twin.base_score_bias)
-        return project, project(twin.residual().reshape(1, -1))[0]
-
-    def _colour(self, found: Mapping[str, Sequence[Variant]], innovation: Array) -> float:
-        """Return the factor by which autocorrelation widens variances, without what the best named effect explains."""
-        named = [one for name, many in found.items() if name in TERMS for one in many]
-        gains = [float(np.sum(one.score(innovation) ** 2)) - 2 * len(one.unit) for one in named]
-        if gains and max(gains) > RULES.much:
-            best = named[int(np.argmax(gains))]
-            innovation = innovation - best.unit.T @ best.score(innovation)
-        return colour_of(innovation.reshape(3, -1))
-
-
-def _test(one: Variant, innovation: Array, colour: float) -> Test:
-    """Return a test; the value is −back d with covariance back backᵀ, and autocorrelation reduces its weight."""
-    d = one.score(innovation)
-    information = _inverse(one.back @ one.back.T) / colour
-    return Test(dict(one.setting), float(d @ d) / colour, len(d), information, -information @ (one.back @ d))
-
-
-def _inverse(covariance: Array) -> Array:
-    """Return the information of values in any units; zero in directions without covariance."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    weight, vector = np.linalg.eigh(covariance * scale * scale[:, None])
-    kept = weight > _LEAST * weight[-1]
-    result: Array = (vector[:, kept] / weight[kept]) @ vector[:, kept].T * scale * scale[:, None]
-    return result
 
 
 def as_json(setting: Mapping[str, float]) -> dict[str, Any]:

@@ -16,12 +16,12 @@ from scipy.special import expit, logsumexp
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.beside import solved
 from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT, OF_THE_PLACE
 from magyc_gtsam.gap.many.one_log import Test
 
 Tests = Mapping[str, tuple[Test, ...]]
 _SIZES = np.array(MODEL.sizes)
-_WALK = 6  # modes of a drift, a random walk: the variance of mode k is 1/k²
 _FAR = 300.0  # nats beyond which the share no longer matters
 _CORRELATED = 2.0  # knots, correlation length of a field that varies in the world frame
 
@@ -100,21 +100,13 @@ def _shared(of_log: Sequence[Sequence[Test]]) -> tuple[float, Mapping[str, float
             continue
         information = np.sum([test.information for test in tests], axis=0)
         score = np.sum([test.score for test in tests], axis=0)
-        value, rank = _solved(information, score)
+        value, rank = solved(information, score)
         nats.append(nats_of(float(score @ value), rank, len(tests) * _SIZES))
         found.append((tests[0].setting, value))
     if not nats:
         return -np.inf, {}, np.zeros(0)
     table = np.array(nats)
     return float(logsumexp(table) - np.log(table.size)), *found[int(table.max(axis=1).argmax())]
-
-
-def _solved(information: Array, score: Array) -> tuple[Array, int]:
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    weight, vector = np.linalg.eigh(information * scale * scale[:, None])
-    kept = weight > 1e-9 * weight[-1]
-    value = scale * ((vector[:, kept] / weight[kept]) @ (vector[:, kept].T @ (scale * score)))
-    return value, int(kept.sum())
 
 
 def _apart(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Array]:
@@ -168,10 +160,10 @@ def _kind(name: str, test: Test) -> tuple:
 
 def _walk(tests: Sequence[Test]) -> Array:
     """Return the evidence (sizes,) of a random walk, represented by its first modes, nats."""
-    test = next((test for test in tests if test.setting.get("order") == _WALK), None)
+    test = next((test for test in tests if test.setting.get("order")), None)
     if test is None:
         return np.zeros(len(_SIZES))
-    variance = np.repeat(1.0 / np.arange(1, _WALK + 1) ** 2, 3)
+    variance = np.repeat(1.0 / np.arange(1, len(test.score) // 3 + 1) ** 2, 3)
     return _likelihood(test, np.diag(variance), 3 * _SIZES / np.trace(test.information[:3, :3]))
 
 

@@ -17,23 +17,19 @@ class Found:
     Attributes:
         name: of the catalogue.
         statistic: Wald statistic of its values; of an effect on the noise, that of its test.
-        threshold: family-wise level of its score test.
         rivals: names that this motion cannot distinguish from it.
         noise: its test, if it is an effect on the noise.
-        unsure: True if a missing channel may be the cause instead; to correct it could increase the heading error.
     """
 
     name: str
     statistic: float
-    threshold: float
     rivals: tuple[str, ...] = ()
     noise: NoiseScore | None = None
-    unsure: bool = False
 
 
 def as_found(score: NoiseScore, rivals: tuple[str, ...] = ()) -> Found:
     """Return an effect on the noise, or the variation of the field, as an effect that was found."""
-    return Found(score.name, score.statistic, score.threshold, rivals, noise=score)
+    return Found(score.name, score.statistic, rivals, noise=score)
 
 
 def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:

@@ -20,7 +20,7 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
 from magyc_gtsam.gap.evidence.decision import marginals
-from magyc_gtsam.gap.evidence.names import kept, names_of
+from magyc_gtsam.gap.evidence.neighbours import product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
@@ -31,11 +31,8 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.naming.found import Found, as_found
 from magyc_gtsam.gap.naming.own_time import in_its_own_time
 from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT, drift_apart
-from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.scores.look import ScoreTests
-from magyc_gtsam.gap.scores.neighbours import product_of
-from magyc_gtsam.gap.scores.score import Score
 from magyc_gtsam.recording import Recording
 
 _OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # functions of time alone
@@ -47,7 +44,8 @@ class Named:
 
     Attributes:
         recording, problem: the data, without wrong samples and tones.
-        first: the score tests of the base model.
+        first: the model without effects, on the recording with all its samples.
+        tree: of the fitted sets.
         fitted: the model with the effects.
         found: the effects; those that are terms in the order of the model's (`found.term_places`).
         leftover: names of what else is present: the most probable family without a physical meaning, and drifting
@@ -57,23 +55,23 @@ class Named:
 
     recording: Recording
     problem: Problem
-    first: ScoreTests
+    first: First
+    tree: Tree
     fitted: Refit
     found: tuple[Found, ...]
     leftover: tuple[str, ...]
     probabilities: Mapping[str, float]
 
 
-def named(said: Answer, first: ScoreTests, base: Refit, short_term: SensorNoise) -> Named:
+def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     """Name the effects of a recording.
 
     Args:
         said: the posterior of the recording.
-        first: the score tests of the base model.
-        base: the model without effects, with the terms of a given calibration.
+        first: the model without effects, with the terms of a given calibration.
         short_term: noise of the sensors between neighbouring samples.
     """
-    given = tuple(term.name for term in base.model.terms)
+    given = tuple(term.name for term in first.refit.model.terms)
     posterior = said.posterior
     while True:
         stated = marginals(posterior)
@@ -85,7 +83,7 @@ def named(said: Answer, first: ScoreTests, base: Refit, short_term: SensorNoise)
             break
         posterior = _without(posterior, by_chance)
     found = [
-        *_terms(fitted, len(given), rivals, first),
+        *_terms(fitted, len(given), rivals),
         *_noise(said, first, fitted, stated),
         *_varying(said.tree.best, stated),
     ]
@@ -93,7 +91,7 @@ def named(said: Answer, first: ScoreTests, base: Refit, short_term: SensorNoise)
     left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
     if drift_apart(fitted) or (left and "timing" not in rivals and drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
-    return Named(said.recording, fitted.twin.problem, first, fitted, tuple(found), left, stated)
+    return Named(said.recording, fitted.twin.problem, first, said.tree, fitted, tuple(found), left, stated)
 
 
 def _without(posterior: Mapping[Set, float], names: AbstractSet[str]) -> dict[Set, float]:
@@ -146,11 +144,11 @@ def _fitted(
     """Return the model with the named effects, from the most probable set that contains most of them."""
 
     def fits(node: Node) -> tuple[int, int, float]:
-        there = names_of(tree, node) - set(given)
+        there = set(node.present) & TERMS.keys() - set(given)
         return len(there & wanted.keys()), -len(there - wanted.keys()), node.log
 
     node = max((node for node in tree.nodes.values() if node.names[: len(given)] == given), key=fits)
-    terms, strong = node.fit.model.terms, kept(tree, node)
+    terms, strong = node.fit.model.terms, node.kept
     chosen = [t for i, t in enumerate(terms) if i < len(given) or (t.name in wanted and i in strong)]
     model = replace(
         node.fit.model, terms=_each_once(part for term in chosen for part in _parts(term, node.fit.twin.time))
@@ -182,14 +180,11 @@ def _parts(term: Active, time: Array) -> Iterator[Active]:
             yield replace(term, setting={"time": term.setting[end]}, value=sign * term.value)
 
 
-def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]], first: ScoreTests) -> Iterator[Found]:
-    scores = {score.name: score for score in first.scores}
+def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]]) -> Iterator[Found]:
     for index, term in enumerate(fitted.model.terms[given:], given):
         missing = _without_channel(term.name, fitted.twin)
         others = tuple(dict.fromkeys((*rivals[term.name], *missing)))
-        score = scores[term.name]
-        unsure = bool(missing) and _any_change(score, first)
-        yield Found(term.name, fitted.weight_of(index), score.threshold, others, unsure=unsure)
+        yield Found(term.name, fitted.weight_of(index), others)
 
 
 def _without_channel(name: str, twin: Twin) -> list[str]:
@@ -199,24 +194,11 @@ def _without_channel(name: str, twin: Twin) -> list[str]:
     return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
 
 
-def _any_change(score: Score, first: ScoreTests) -> bool:
-    """Return whether other changes explain as much as an effect of which the channel may be missing.
-
-    An effect that follows an unrecorded depth or temperature may resemble a passed object where the channel is large,
-    or a drift on level turns. For steps and drifts, changes in the sensor's axes do not count: they are such changes.
-    """
-    own = "time:sensor" if score.name in ("hard-iron-step", "hard-iron-drift") else "-"
-    changes = (s for s in first.scores if s.generic and s.significant and s.name.startswith("time:"))
-    return any(s.evidence > score.evidence - RULES.ahead for s in changes if not s.name.startswith(own))
-
-
-def _noise(said: Answer, first: ScoreTests, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
+def _noise(said: Answer, first: First, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
     """Yield the effects on single samples, and correlated noise where the field does not vary."""
     scores = [*said.left_out, *(one for one in first.noise if one.name == "quantisation")]
     if stated.get(COLOUR, 0.0) > PRIOR.named_from and not said.tree.best.of_colour[0]:
-        scores += [
-            one for one in replace(first, recording=said.recording, refit=fitted).noise if one.name == COLOUR
-        ]
+        scores += [one for one in First(said.recording, fitted).noise if one.name == COLOUR]
     yield from (as_found(score) for score in scores if stated.get(score.name, 0.0) > PRIOR.named_from)
 
 

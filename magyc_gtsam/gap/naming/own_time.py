@@ -12,11 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.beside import Beside, Seen, solved
 from magyc_gtsam.gap.model.refit import Refit, without_term
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.model.variants import Projector, Variant, variant
 from magyc_gtsam.gap.rules import RULES
 
 _SHIFTS = 32  # equal parts of the recording's length
@@ -33,26 +34,29 @@ def in_its_own_time(fitted: Refit, index: int) -> bool:
     if not set(effect.channels) - {"acceleration"}:
         return True
     without = replace(twin, model=without_term(twin.model, index))
-    project = Projector(without.base_columns, without.base_score_bias)
+    own = twin.whiten(twin.columns(term.name, term.setting))
     value, _ = fitted.value_of(index)
-    of_term = value @ twin.whiten(twin.columns(term.name, term.setting))
-    target = project((twin.residual().ravel() - of_term)[None])[0]
+    residual, rows = twin.residual().ravel() - value @ own, without.base_columns
+    beside = Beside.of(residual, rows, rows[:0], np.zeros(0), without.base_score_bias)
 
-    def at(shift: float) -> Variant:
+    def seen(shift: float) -> tuple[Array, Seen]:
         columns = effect.regressors(_shifted(twin, shift), term.setting)
-        return variant(term.setting, twin.whiten(columns), project, columns.score_bias)
+        none = np.zeros(len(columns.window))
+        whitened = twin.whiten(columns)
+        return whitened, beside.see(whitened, none if columns.score_bias is None else columns.score_bias)
 
-    own = at(0.0)
-    score = own.score(target)
-    explained = own.unit.T @ score
+    own, first = seen(0.0)
+    value, _ = solved(own @ own.T - first.reach @ first.reach.T, first.score)
+    explained = float(first.score @ value)
     others, as_good = 0, 0
     for shift in np.arange(1, _SHIFTS) / _SHIFTS:
-        other = at(float(shift))
-        held, shifted = other.unit @ explained, other.score(target)
-        if held @ held > RULES.too_slow * (explained @ explained):
+        columns, other = seen(float(shift))
+        information = columns @ columns.T - other.reach @ other.reach.T
+        shared = (columns @ own.T - other.reach @ first.reach.T) @ value
+        if shared @ solved(information, shared)[0] > RULES.too_slow * explained:
             continue
         others += 1
-        as_good += bool(shifted @ shifted >= score @ score)
+        as_good += bool(other.score @ solved(information, other.score)[0] >= explained)
     return as_good < RULES.as_good * others
 
 

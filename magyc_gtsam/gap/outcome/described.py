@@ -21,7 +21,6 @@ FIELD_VARIES = "field of the place that varies"
 IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _OPEN = "named, not corrected: this motion does not determine all of its values"
-_UNSURE = "named, not corrected: an unrecorded channel may be the cause"
 _UNPAID = (
     "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )
@@ -81,7 +80,7 @@ def describe(
     def why(place: int) -> str:
         if place not in uncorrected:
             return ""
-        return _UNPAID if place in unpaid else _UNSURE if found[place].unsure else _OPEN
+        return _UNPAID if place in unpaid else _OPEN
 
     effects = (_described(one, refitted, indices.get(place), why(place)) for place, one in enumerate(found))
     return tuple(replace(effect, probability=probabilities.get(effect.name, 0.0)) for effect in effects)
@@ -137,7 +136,6 @@ def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Ef
         dict(setting),
         found.rivals,
         found.statistic,
-        found.threshold,
         not why,
         f"{sentence} ({why})" if why else sentence,
     )

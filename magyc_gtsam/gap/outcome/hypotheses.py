@@ -7,87 +7,84 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.candidates import what_matters
+from magyc_gtsam.gap.evidence.detectable import ENOUGH, power_of
+from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.weighing import Weighed
 from magyc_gtsam.gap.naming.found import Found
+from magyc_gtsam.gap.naming.named import Named
 from magyc_gtsam.gap.outcome.described import IN_TESLA
 from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.scores.look import ScoreTests
-from magyc_gtsam.gap.scores.score import Score
 
 
 def hypotheses(
-    look: ScoreTests,
-    names: Sequence[str],
-    found: Sequence[Found],
-    word: Verdict,
-    discrete: Sequence[NoiseScore],
-    probabilities: Mapping[str, float],
+    result: Named, names: Sequence[str], found: Sequence[Found], word: Verdict, discrete: Sequence[NoiseScore]
 ) -> tuple[Hypothesis, ...]:
-    """Return all candidates with their evidence, strongest first.
+    """Return all candidates with their evidence beside the model without effects, strongest first.
 
     Args:
-        look: the score tests of the base model.
+        result: the effects that are named, and the model with them.
         names: candidates.
-        found: the effects.
+        found: the effects, with those that were corrected before.
         word: the verdict.
-        discrete: scores of effects that were corrected before the look.
-        probabilities: of all names.
+        discrete: tests of the latter.
     """
     named = {f.name for f in found} if word in ("closed", "open") else set()
     rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
-    result = [(s.evidence, _hypothesis(s, look, named, rivals, probabilities)) for s in look.scores]
-    result += [
-        (n.evidence, _noise_hypothesis(n, named, probabilities))
-        for n in (*discrete, *look.noise)
-        if n.name in names
-    ]
-    return tuple(h for _, h in sorted(result, key=lambda pair: -pair[0]))
+    places = {family.name: family.place for family in families(result.first.refit.twin)}
+    weighed = [one for one in result.tree.nodes[()].found.values() if one.name in (*TERMS, *places)]
+    every = [_hypothesis(one, result, places, named, rivals) for one in weighed]
+    noise = (each for each in (*discrete, *result.first.noise) if each.name in names)
+    every += [_noise_hypothesis(each, named, result.probabilities) for each in noise]
+    return tuple(sorted(every, key=lambda one: -one.evidence))
 
 
 def _hypothesis(
-    score: Score, look: ScoreTests, named: set[str], rivals: set[str], probabilities: Mapping[str, float]
+    weighed: Weighed, result: Named, places: Mapping[str, str], named: set[str], rivals: set[str]
 ) -> Hypothesis:
-    term = TERMS.get(score.name)
-    power = score.power(look.refit.twin) if term else 1.0
-    matters = score.smallest(look.refit.twin) if term else 0.0
-    probability = probabilities.get(score.name, 0.0) if term else np.nan
-    scale = term.scale if term else 1.0
+    name, term, twin = weighed.name, TERMS.get(weighed.name), result.first.refit.twin
+    significant, power = weighed.log > ENOUGH, power_of(weighed) if term else 1.0
+    probability = result.probabilities.get(name, 0.0) if term else np.nan
+    value, covariance = weighed.estimate
+    scale, matters = np.ones(len(value)), 0.0
+    if term:
+        scale = term.scale * what_matters(twin, name, weighed.setting, len(value))
+        matters = float(scale[np.argmax(np.diag(covariance))])
     status: Status
-    if score.name in named:
+    if name in named:
         status, words = "named", "named"
-    elif score.significant and score.name in rivals:
+    elif significant and name in rivals:
         status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
     elif probability >= PRIOR.improbable:
         status, words = "possible", "too improbable to be named"
-    elif score.significant and named:
+    elif significant and named:
         status, words = "explained", "significant, but improbable beside the effects that are named"
-    elif score.significant:
+    elif significant:
         status, words = "significant", "significant"
     elif term and power < RULES.would_be_found:
         status, words = (
             "not enough information",
-            f"the smallest effect that matters ({matters * scale:.2g} {term.unit}) would be found with "
+            f"the smallest effect that matters ({matters:.2g} {term.unit}) would be found with "
             f"probability {power:.0%} only",
         )
     else:
         status, words = "rejected", "not significant, though what matters would have been found"
-    sigma = np.sqrt(np.diag(score.covariance))
     return Hypothesis(
-        name=score.name,
-        label=term.label if term else f"anything in {score.place}",
-        generic=score.generic,
-        statistic=score.statistic,
-        threshold=score.threshold,
-        significant=score.significant,
-        parameters=len(score.expected),
-        expected=score.expected * scale,
-        sigma=sigma * scale,
+        name=name,
+        label=term.label if term else f"anything in {places[name]}",
+        generic=term is None,
+        evidence=weighed.log,
+        significant=significant,
+        parameters=len(value),
+        expected=value * scale,
+        sigma=np.sqrt(np.diag(covariance)) * scale,
         unit=term.unit if term else "",
-        setting=dict(score.variant.setting),
+        setting=dict(weighed.setting),
         power=power,
-        matters=matters * scale,
+        matters=matters,
         probability=probability,
         status=status,
         sentence=words,
@@ -110,8 +107,7 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping
         name=noise.name,
         label=LABELS[noise.name],
         generic=False,
-        statistic=noise.statistic,
-        threshold=noise.threshold,
+        evidence=noise.evidence,
         significant=noise.significant,
         parameters=len(noise.value),
         expected=noise.value * scale,

@@ -29,7 +29,6 @@ from magyc_gtsam.gap.preparation.clocks import APART_IN_BRIEF, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Doubt, Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.scores.score import DRAWS
 
 
 def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibration | None, seconds: float) -> Gap:
@@ -59,13 +58,12 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
         base=fitted,
         next_manoeuvre=Manoeuvre((), doubt.action, f"to learn anything: {doubt.action}"),
         doubt=doubt,
-        diagnostics={"windows": base.twin.n, "draws": 0, "seconds": seconds, "leftover": []},
+        diagnostics={"windows": base.twin.n, "seconds": seconds, "leftover": []},
     )
 
 
 def gap_of(
     result: Named,
-    base: Refit,
     short_term: SensorNoise,
     calibration: Calibration | None,
     names: tuple[str, ...],
@@ -76,7 +74,6 @@ def gap_of(
 
     Args:
         result: the effects that are named, and the model with them.
-        base: the model without effects.
         short_term: noise of the sensors between neighbouring samples.
         calibration: the given calibration, if any.
         names: candidates.
@@ -85,14 +82,12 @@ def gap_of(
     """
     strength = None if calibration is None else calibration.field_strength
     first, plain = result.first, widened(result.fitted)
-    base, held = widened(base), tempered(result.problem, result.fitted, short_term)
+    base, held = widened(first.refit), tempered(result.problem, result.fitted, short_term)
     last = widened(held)
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
     known, added = _other_terms(calibration, found)
     open_places = {
-        place: index
-        for place, index in term_places(found, plain.model).items()
-        if found[place].unsure or not determined(plain, index)
+        place: index for place, index in term_places(found, plain.model).items() if not determined(plain, index)
     }
     unpaid = _not_worthwhile(
         result, held, {p: i for p, i in term_places(found, plain.model).items() if p not in open_places}
@@ -104,7 +99,7 @@ def gap_of(
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
     catalogue = "in the catalogue" if names == NAMES else "among the candidates"
     effects = describe(found, last, result.probabilities, open_places, unpaid)
-    word, sentence = verdict(effects, result.leftover, first, catalogue)
+    word, sentence = verdict(effects, result.leftover, base.twin, catalogue)
     applied = word in ("closed", "open")
     effects = effects if applied else ()
     before = measure(first.refit.twin, started, first.fine)
@@ -113,7 +108,7 @@ def gap_of(
         after = measure(corrected.twin, final, fine)
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     untested = _untested(names, base)
-    tested = hypotheses(first, names, found, word, discrete, result.probabilities)
+    tested = hypotheses(result, names, found, word, discrete)
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
     plainly, doubts = judged(started, base, result.recording, strength)
@@ -122,10 +117,10 @@ def gap_of(
     shifted = moved(plainly, used) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
-    wanted = manoeuvre(first, found, word, open_places)
+    wanted = manoeuvre(result.tree, found, word, open_places)
     if applied:
         effects = with_model_error(effects, corrected, used)
-        sentence = verdict(effects, result.leftover, first, catalogue)[1]
+        sentence = verdict(effects, result.leftover, base.twin, catalogue)[1]
     gap = Gap(
         verdict=word,
         sentence=contradiction(contradicted) + sentence,
@@ -141,7 +136,6 @@ def gap_of(
         next_manoeuvre=wanted,
         diagnostics={
             "windows": first.refit.twin.n,
-            "draws": DRAWS,
             "seconds": seconds,
             "leftover": list(result.leftover),
         },
@@ -151,7 +145,7 @@ def gap_of(
         return gap if untrusted is None else replace(gap, doubt=untrusted)
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
-    missing = place_of(result.leftover, first) if result.leftover else ""
+    missing = place_of(result.leftover, base.twin) if result.leftover else ""
     return with_doubt(gap, left_open(effects, list(open_places), missing, wanted))
 
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.weighing import information_of
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, without_term
-from magyc_gtsam.gap.model.variants import Projector, variants
 
 _REACH = 60.0  # s on each side
 _FEWEST = 12  # windows on each side
@@ -20,24 +21,24 @@ def step_time_sigma(refitted: Refit, index: int) -> float:
     twin = refitted.twin
     term = twin.model.terms[index]
     value, _ = refitted.value_of(index)
-    variation = field_variation(twin)
-
-    def whitened(rows: Array) -> Array:
-        """Whiten for the variation of the field, which makes the time of a change less certain."""
-        return variation.whiten(rows) if variation.evident else rows
-
     own = twin.whiten(twin.columns(term.name, term.setting))
-    without = replace(twin, model=without_term(twin.model, index))
-    project = Projector(whitened(without.base_columns), without.base_score_bias)
-    target = project(whitened((twin.residual().ravel() - value @ own)[None]))[0]  # the residual without the step
+    rows = replace(twin, model=without_term(twin.model, index)).base_columns
+    components, noise, variation = rows[:0], 1.0, field_variation(twin)
+    if variation.evident:  # it makes the time of a change less certain
+        components, noise = variation.components, variation.noise
+    variance, none = np.full(len(components), noise**2), np.zeros(len(rows) + len(components))
+    beside = Beside.of(twin.residual().ravel() - value @ own, rows, components, variance, none, noise)
     edges = 0.5 * (twin.time[1:] + twin.time[:-1])
     at = int(np.argmin(np.abs(edges - term.setting["time"])))
     window = float(np.median(np.diff(twin.time)))
     reach = max(_FEWEST, round(_REACH / window))
     times = edges[max(at - reach, 0) : at + reach + 1]
     settings = [{**term.setting, "time": float(time)} for time in times]
-    scores = [one.score(target) for one in variants(twin, project, term.name, settings, whitened)]
-    profile = np.array([float(d @ d) for d in scores])
+    candidates = Candidates.of_parts(twin, [at_settings(twin, term.name, settings)])
+    seen, (batch,) = beside.see(candidates.columns, candidates.score_bias), candidates.batches
+    inverse = np.linalg.pinv(information_of(batch, noise, seen.reach), hermitian=True)
+    score = seen.score[batch.rows]
+    profile = np.einsum("bk,bkl,bl->b", score, inverse, score)
     weight = np.exp(0.5 * (profile - profile.max()))
     weight /= weight.sum()
     spread = float(weight @ (times - weight @ times) ** 2)

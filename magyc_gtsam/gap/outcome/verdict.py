@@ -5,34 +5,35 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.detectable import power_of
+from magyc_gtsam.gap.evidence.generic import families
+from magyc_gtsam.gap.evidence.neighbours import label_of, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
+from magyc_gtsam.gap.evidence.tree import Tree
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
 from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.preparation.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.look import ScoreTests
-from magyc_gtsam.gap.scores.neighbours import label_of, product_of
 
 _SPELLED = 3  # effects that a sentence names
 
 
-def verdict(
-    effects: Sequence[Effect], left: Sequence[str], first: ScoreTests, catalogue: str
-) -> tuple[Verdict, str]:
+def verdict(effects: Sequence[Effect], left: Sequence[str], twin: Twin, catalogue: str) -> tuple[Verdict, str]:
     """Return the verdict in one word, and in one sentence for a navigator.
 
     Args:
         effects: effects that were found.
         left: names of what is present beside them.
-        first: the score tests of the base model.
+        twin: of the recording.
         catalogue: the set of candidates, in words.
     """
     if not effects and not left:
         return "none", "the model and the data agree"
     if left:
-        where = _place(left, first, catalogue)
+        where = _place(left, twin, catalogue)
         firm = [effect.sentence for effect in effects if effect.name in (*TERMS, "axis-order", FIELD_VARIATION)]
         if firm:
             return "open", f"{'; '.join(firm)}; beside that, {where}"
@@ -60,12 +61,11 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
     return "; ".join(parts) or "every relevant value of the tested effects would have been detected"
 
 
-def place_of(left: Sequence[str], first: ScoreTests) -> str:
+def place_of(left: Sequence[str], twin: Twin) -> str:
     """Return the variable that what remains depends on, in words."""
-    names = set(left)
-    for score in first.scores:
-        if score.name in names and score.generic:
-            return missing(score.name, score.place)
+    for family in families(twin):
+        if family.name in left:
+            return missing(family.name, family.place)
     return missing(next((name for name in left if name in LABELS or product_of(name)), ""), "")
 
 
@@ -79,33 +79,29 @@ def missing(name: str, place: str) -> str:
     return "an effect that follows no logged variable is missing"
 
 
-def _place(left: Sequence[str], first: ScoreTests, catalogue: str) -> str:
+def _place(left: Sequence[str], twin: Twin, catalogue: str) -> str:
     """Return the same with the reason why it has no name."""
     if CLOCK_DRIFT in left:
         return APART
-    where = place_of(left, first)
+    where = place_of(left, twin)
     return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
 
 
-def manoeuvre(
-    look: ScoreTests, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]
-) -> Manoeuvre | None:
+def manoeuvre(tree: Tree, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
     """Return the next manoeuvre.
 
     Its motion determines an effect that is named only, distinguishes an effect from its rivals, or makes effects
     detectable. None if no manoeuvre is needed.
     """
+    twin = tree.best.fit.twin
     for place in uncorrected:
         one = found[place]
         motion = TERMS[one.name].motion
-        if one.unsure:
-            channels = dict.fromkeys(c for rival in one.rivals for c in TERMS[rival].missing(look.refit.twin))
-            motion = f"log the {' and the '.join(channels)} as well"
         return Manoeuvre((one.name,), motion, f"to correct “{LABELS[one.name]}”: {motion}")
     for f in found:
         if f.rivals and f.name in TERMS and word in ("closed", "open"):
             names = (f.name, *f.rivals)
-            needed = TERMS[f.rivals[0]].missing(look.refit.twin)
+            needed = TERMS[f.rivals[0]].missing(twin)
             motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion
             labels = " from ".join(LABELS.get(n, FIELD_VARIES) for n in names[:2])
             return Manoeuvre(names, motion, f"to distinguish {labels}: {motion}")
@@ -114,11 +110,9 @@ def manoeuvre(
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )
         return Manoeuvre((), motion, f"to identify the effect: {motion}")
-    blind = [s for s in look.scores if s.name in TERMS and s.power(look.refit.twin) < RULES.would_be_found]
+    powers = {one.name: power_of(one) for one in tree.nodes[()].found.values() if one.name in TERMS}
+    blind = sorted((name for name in powers if powers[name] < RULES.would_be_found), key=lambda name: powers[name])
     if blind:
-        weakest = min(blind, key=lambda s: s.power(look.refit.twin))
-        motion = TERMS[weakest.name].motion
-        return Manoeuvre(
-            tuple(s.name for s in blind), motion, f"to test for “{TERMS[weakest.name].label}”: {motion}"
-        )
+        term = TERMS[blind[0]]
+        return Manoeuvre(tuple(blind), term.motion, f"to test for “{term.label}”: {term.motion}")
     return None

@@ -11,11 +11,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.field_variation import FieldVariation
+from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.model.variants import Projector
+from magyc_gtsam.gap.outcome.held_out import held_out_gain, interleaved
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.score import held_out_gain, interleaved
 
 _OF_ITS_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # one half does not predict the other
 

@@ -1,6 +1,6 @@
 """Tests for effects that change the noise instead of the reading, on the innovations sample by sample.
 
-Their evidence has the unit of the score tests: gain in log-likelihood, nats, less the gain expected by chance.
+Their evidence is the gain in log-likelihood, nats, less the gain expected by chance.
 """
 
 from __future__ import annotations

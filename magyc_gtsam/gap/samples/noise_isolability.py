@@ -14,8 +14,7 @@ from scipy.stats import chi2, ncx2, norm
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.scores.look import NOISE_LIMIT
-from magyc_gtsam.gap.scores.null import quantile
+from magyc_gtsam.gap.samples.first import NOISE_LIMIT
 from magyc_gtsam.recording import Recording
 
 _SHARE = 0.01  # of the samples that are spikes
@@ -71,7 +70,7 @@ def _solved(gain: Callable[[float], float], needed: float) -> float:
 
 def _tone(samples: int) -> float:
     """Return the amplitude: twice the height of a line is χ² with 6 degrees of freedom, non-centrality n a² / 2."""
-    level = quantile(NOISE_LIMIT + RULES.unsure_line + 2 * float(np.log(samples / 2)), 6)
+    level = float(chi2.isf(np.exp(-NOISE_LIMIT - RULES.unsure_line - 2 * np.log(samples / 2)), 6))
     return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), RULES.found_with)
 
 

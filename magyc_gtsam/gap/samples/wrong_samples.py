@@ -12,13 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 from scipy.ndimage import convolve1d, maximum_filter1d, median_filter
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.scores.null import autoregression, memory
 
+_ORDER = 12  # maximum order of the autoregression
 _MEDIAN = 2.366  # of χ²₃
 _LOCAL = 201  # samples in the median of the local scale: its error of 7 % gives white noise no tails worth a nat
 _LEAST = 0.01  # of the global scale, lower limit of the local scale
@@ -144,3 +145,21 @@ def _one(square: Array) -> _Mixture:
     """Return a single normal distribution, fitted to squared lengths (n,)."""
     n, variance = len(square), float(square.mean()) / 3
     return _Mixture(-1.5 * n * (np.log(variance) + 1), np.ones(1), np.array([variance]), np.ones((1, n)))
+
+
+def memory(innovation: Array) -> int:
+    """Return the longest significant lag of the autocorrelation of innovations (3, n), axes together; 0 if white."""
+    n = innovation.shape[1]
+    total = float(np.vdot(innovation, innovation))
+    lags = range(1, min(_ORDER, n // 4) + 1)
+    rho = np.array([float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total for lag in lags])
+    significant = np.flatnonzero(np.abs(rho) > RULES.coloured / np.sqrt(innovation.size))
+    return int(significant[-1]) + 1 if len(significant) else 0
+
+
+def autoregression(rows: Array, order: int) -> tuple[Array, float]:
+    """Return the Yule–Walker coefficients (order,) of rows (..., n), and the power of their prediction errors."""
+    n = rows.shape[-1]
+    r = np.array([np.vdot(rows[..., lag:], rows[..., : n - lag]) for lag in range(order + 1)]) / rows.size
+    coefficients = solve_toeplitz(r[:-1], r[1:])
+    return coefficients, float(r[0] - coefficients @ r[1:])

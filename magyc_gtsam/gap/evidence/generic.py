@@ -20,9 +20,6 @@ _KNOTS = (12, 40)  # numbers of knots of the linear splines in time
 class Family(NamedTuple):
     """A generic family.
 
-    Directions of the values that the motion does not determine to `within` are left out, because they would explain
-    anything with absurd values.
-
     Attributes:
         name: of the family.
         place: the variable that it depends on, in words.
@@ -30,14 +27,12 @@ class Family(NamedTuple):
         parts: numbers of columns to be tested separately. A few columns find an effect for which the whole family has
             too many parameters. A family that contains an effect of the catalogue has no parts, because these would be
             that effect under another name.
-        within: largest standard deviation of a value.
     """
 
     name: str
     place: str
     columns: Callable[[Twin], Columns]
     parts: tuple[int, ...] = ()
-    within: float = np.inf
 
 
 def families(twin: Twin) -> list[Family]:
@@ -68,16 +63,8 @@ def families(twin: Twin) -> list[Family]:
         Family("rate:product", "the rate of turn on the magnetometer", _on_field(_rate_products), (3, 1)),
         Family("rate×field", "rate of turn times field", _on_field(_rate_times_field)),
         Family("lag", "a lag that depends on the rate of turn", _uneven_lag, (3, 1)),
-        Family(
-            "rate:linear",
-            "the rate of turn on the gyroscope",
-            _on_rate(lambda s: s.need("rate")),
-            (),
-            RULES.determined_rate,
-        ),
-        Family(
-            "rate:quadratic", "the rate of turn on the gyroscope", _on_rate(_bent_rate), (), RULES.determined_rate
-        ),
+        Family("rate:linear", "the rate of turn on the gyroscope", _on_rate(lambda s: s.need("rate"))),
+        Family("rate:quadratic", "the rate of turn on the gyroscope", _on_rate(_bent_rate)),
         Family("rate:gyroscope", "products of rates of turn on the gyroscope", _on_rate(_rate_squares), (3, 1)),
         Family("field:gyroscope", "attitude on the gyroscope", _field_on_rate, (3,)),
     ]

@@ -18,8 +18,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import FORMS, Setting
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.generic import Family
 from magyc_gtsam.gap.model.twin import Columns, Twin
-from magyc_gtsam.gap.scores.generic import Family
 
 Product = Callable[[Array, Signals], Array]
 

@@ -1,0 +1,169 @@
+"""Effects that can be named with a motion, their smallest strength, and the effects they would be confused with.
+
+The strength is the length of an effect's vector of values. Values of random directions, with the noise of the sensors,
+are weighed like a recording's; an effect is confused with the names that often explain nearly as much, or more.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import ncx2
+
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects.term import EffectTerm
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import Candidates, what_matters
+from magyc_gtsam.gap.evidence.detectable import ENOUGH, needed_and_size
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale
+from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.result import Isolability
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
+from magyc_gtsam.recording import Recording
+
+_DIRECTIONS = 500  # of the values, over which the power is averaged
+_TRIALS = 60  # of naming an effect
+_AS_GOOD = 3.0  # nats: a twentieth of the probability
+
+
+def isolability(recording: Recording) -> tuple[Isolability, ...]:
+    """Return the table for a motion.
+
+    Args:
+        recording: of the motion, real or simulated, with its noise.
+
+    Raises:
+        MagycError: the motion or the data do not allow a calibration.
+    """
+    noise = short_term_noise(recording)
+    twin = base_model(recording, None, noise).twin
+    candidates, beside = Candidates.of(twin, tuple(TERMS), ()), Beside.of_model(twin)
+    random = np.random.default_rng(0)
+    tested = {name for batch in candidates.batches for name in batch.names}
+    terms = tuple(
+        _row(term, candidates, beside, twin, random) if name in tested else _absent(term, term.missing(twin))
+        for name, term in TERMS.items()
+    )
+    return (*terms, *noise_isolability(recording, noise.magnetometer))
+
+
+def _row(
+    term: EffectTerm, candidates: Candidates, beside: Beside, twin: Twin, random: np.random.Generator
+) -> Isolability:
+    at = [
+        (batch.rows[i], batch.settings[i], float(batch.prior[i]))
+        for batch in candidates.batches
+        for i, name in enumerate(batch.names)
+        if name == term.name
+    ]
+    rows, setting, cell = at[len(at) // 2]  # a typical one
+    columns, none = candidates.columns[rows], np.zeros(len(rows))
+    reach = beside.see(columns, none).reach
+    gram = columns @ columns.T
+    information = gram - reach @ reach.T
+    left = np.maximum(np.diag(information), 0.0) / np.maximum(np.diag(gram), 1e-300)
+    deviations = term.deviations(twin, setting)
+    values = random.standard_normal((_DIRECTIONS, len(rows)))
+    values /= np.linalg.norm(values, axis=1)[:, None]
+    values /= deviations * what_matters(twin, term.name, setting, len(rows))
+    smallest = _found_from(*needed_and_size(information, cell, values), len(rows))
+    confused: dict[str, float] = {}
+    if np.isfinite(smallest):
+        signatures = max(smallest, term.matters) * values[:_TRIALS] @ columns
+        confused = _confused(term.name, candidates, beside, signatures, random)
+    shown = term.scale / float(np.median(deviations))
+    words = f"from {smallest * shown:.2g} {term.unit} on" if np.isfinite(smallest) else "not found at any strength"
+    if smallest > term.matters:
+        words += f", where {term.matters * shown:.2g} would matter"
+    if confused:
+        words += f", as {' or '.join((term.name, *confused))}, which this motion can hardly tell apart"
+    nameable = smallest <= term.matters and not confused
+    return Isolability(
+        term.name,
+        term.label,
+        smallest * shown,
+        term.unit,
+        term.matters * shown,
+        float(np.sqrt(left.mean())),
+        nameable,
+        confused,
+        words if nameable else f"{words}; {term.motion}",
+    )
+
+
+def _found_from(needed: Array, size: Array, count: int) -> float:
+    """Return the strength that is found with probability 0.9, in the mean over directions.
+
+    Args:
+        needed, size: (directions,) statistic from which it is found, and its size at strength 1.
+        count: number of values.
+    """
+    if float(np.mean(size > 0)) < RULES.found_with:
+        return float("inf")
+
+    certain = 4 * needed + 100  # scipy's distribution fails far beyond
+
+    def short(log: float) -> float:
+        return float(ncx2.sf(needed, count, np.minimum(np.exp(2 * log) * size, certain)).mean()) - RULES.found_with
+
+    middle = 0.5 * float(np.log(np.median(needed / np.maximum(size, 1e-300))))
+    return float(np.exp(brentq(short, middle - 20, middle + 20)))
+
+
+def _confused(
+    name: str, candidates: Candidates, beside: Beside, signatures: Array, random: np.random.Generator
+) -> dict[str, float]:
+    """Return the other names that explain an effect nearly as well as the best, with their share of the trials.
+
+    Only names above `RULES.confused` are returned, the most frequent first.
+
+    Args:
+        name: of the effect.
+        candidates: the effects.
+        beside: the model without effects.
+        signatures: (trials, 3n) of the effect, whitened.
+        random: source of the noise.
+    """
+    nats = _weighed(candidates, beside, signatures + random.standard_normal(signatures.shape))
+    best = np.max(list(nats.values()), axis=0)
+    found = best > ENOUGH
+    as_good = {other: int((found & (each > best - _AS_GOOD)).sum()) for other, each in nats.items()}
+    often, count = Counter({other: times for other, times in as_good.items() if other != name}), int(found.sum())
+    return {other: times / count for other, times in often.most_common() if times > RULES.confused * count}
+
+
+def _weighed(candidates: Candidates, beside: Beside, innovations: Array) -> dict[str, Array]:
+    """Return {name: nats (trials,)} of innovations (trials, 3n)."""
+    seen = beside.see(candidates.columns, np.zeros(len(candidates.columns)))
+    own = beside.see(innovations, np.zeros(len(innovations))).reach
+    score = candidates.columns @ innovations.T - seen.reach @ own.T
+    result: dict[str, Array] = {}
+    for batch in candidates.batches:
+        value, vector = np.linalg.eigh(information_of(batch, beside.noise, seen.reach))
+        rotated = np.einsum("bki,bkt->bit", vector, score[batch.rows])
+        each = nats_by_scale(batch.names, np.maximum(value, 0.0), rotated)
+        for i, name in enumerate(batch.names):
+            own = np.logaddexp.reduce(each[i], axis=0) + batch.prior[i] - np.log(len(PRIOR.scales))
+            result[name] = np.logaddexp(result[name], own) if name in result else own
+    return result
+
+
+def _absent(term: EffectTerm, missing: tuple[str, ...]) -> Isolability:
+    return Isolability(
+        term.name,
+        term.label,
+        float("inf"),
+        term.unit.replace("per unit", "per deviation"),
+        term.matters * term.scale,
+        0.0,
+        False,
+        {},
+        f"cannot be tested without {' and '.join(missing) or 'more data'}",
+    )
