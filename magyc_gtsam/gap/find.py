@@ -196,7 +196,7 @@ def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
 
 def _determined(recording: Recording, base: Refit, short_term: SensorNoise) -> Observability:
     """Return what the motion determines at the sensors' own noise, to which the misfit of an effect does not add."""
-    fitted = as_calibration(base, None)
+    fitted = as_calibration(replace(base, converged=False), None)  # not yet to be trusted, whatever its values
     assert fitted.covariance is not None
     assert fitted.field_strength is not None
     share = min(1.0, (short_term.magnetometer / base.model.noise.magnetometer) ** 2)

@@ -41,7 +41,8 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
         calibration: the given calibration, if any.
         seconds: duration.
     """
-    fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
+    strength = None if calibration is None else calibration.field_strength
+    fitted = as_calibration(replace(base, converged=False), strength)
     sentence = f"not enough information: {reason}; nothing was tested"
     fitted = doubted(replace(fitted, message=sentence), doubt)
     metrics = measure(base.twin, fitted)
