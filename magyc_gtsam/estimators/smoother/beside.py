@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -155,7 +156,8 @@ class ColumnProducts(WhitenedFit):
         pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
         score = along(self.left.window.reshape(3, n), axes) @ transposed
         between = np.einsum("ain,bin->abn", axes, axes)
-        pairs = np.argwhere(np.triu(between.any(axis=2))).tolist()
+        overlap = between.any(axis=2).tolist()
+        pairs = [(a, b) for a in range(count) for b in range(a, count) if overlap[a][b]]
 
         def square(own: slice) -> Array:
             some = profiles[own.start // count : own.stop // count]
@@ -177,9 +179,8 @@ class ColumnProducts(WhitenedFit):
         if not groups:
             return []
         explained = np.concatenate([new.explained for new in groups], axis=1)
-        return np.split(
-            self.estimated.moved(explained), np.cumsum([len(new.score) for new in groups[:-1]]), axis=1
-        )
+        moved, ends = self.estimated.moved(explained), accumulate(len(new.score) for new in groups)
+        return [moved[:, end - len(new.score) : end] for new, end in zip(groups, ends, strict=True)]
 
 
 class _Part(NamedTuple):

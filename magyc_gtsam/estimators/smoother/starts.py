@@ -30,7 +30,7 @@ def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) ->
 def from_prior(windows: FieldWindows, soft_iron: Array, hard_iron: Array, bias: Array) -> Array:
     """Return θ of an earlier calibration, vech(soft_iron) (6,), with the median strength of the field."""
     straight = np.linalg.solve(unvech(soft_iron), windows.field - hard_iron[:, None])
-    strength = median(np.linalg.norm(straight, axis=0))
+    strength = median(np.sqrt(np.einsum("in,in->n", straight, straight)))
     return parameters(unvech(soft_iron) * strength, hard_iron, bias, windows.delay)
 
 
@@ -80,7 +80,7 @@ def from_gyroscope(windows: FieldWindows) -> Array:
         normal.flat[:: len(design) + 1] *= 1 + 1e-9
         normal[6:, 6:] += scale / 3 / _SOFT_IRON**2 * np.eye(len(design) - 6)
         solution = _solved(normal, weighted @ constant.ravel())
-        before_it, (hard_iron, bias, stretch) = hard_iron, np.split(solution, [3, 6])
+        before_it, hard_iron, bias, stretch = hard_iron, solution[:3], solution[3:6], solution[6:]
         misfit = constant - (solution @ flat).reshape(3, -1)
         square = np.einsum("in,in->n", misfit, misfit)
         counts = weight > 0
@@ -88,14 +88,15 @@ def from_gyroscope(windows: FieldWindows) -> Array:
         weight = counts / (1 + square / (2 * scale))  # Cauchy
     if not np.linalg.norm(stretch) < _MOST_SOFT_IRON:
         return spherical(windows, hard_iron, bias)
-    soft_iron = np.linalg.inv(np.eye(3) - np.tensordot(stretch, _TRACELESS, 1))
+    soft_iron = np.linalg.inv(np.eye(3) - (stretch @ _TRACELESS.reshape(5, 9)).reshape(3, 3))
     hard_iron = before_it + soft_iron @ (hard_iron - before_it)
     return from_prior(windows, vech(soft_iron), hard_iron, bias)
 
 
 def _stretched(rotation: Array, field: Array) -> Array:
     """Return (5, 3, n) Mᵀ E_j m of a basis of D, for M (3, 3, n) and m (3, n)."""
-    return np.asarray(np.einsum("ijn,kin->kjn", rotation, np.tensordot(_TRACELESS, field, 1)))
+    stretched = (_TRACELESS.reshape(15, 3) @ field).reshape(5, 3, -1)
+    return np.asarray(np.einsum("ijn,kin->kjn", rotation, stretched))
 
 
 def _solved(normal: Array, right: Array) -> Array:
