@@ -58,13 +58,13 @@ class FieldWindows:
                 result += (delay - self.delay) * self.rotation_rate
             return result
 
-        return self._kept("rotation", np.append(bias, delay), moved)
+        return self._kept("rotation", (bias.tobytes(), delay), moved)
 
     def turn_at(self, bias: Array) -> Array:
         """Return E = Exp(−ΔK (b − b₀)) (3, 3, n − 1) from one window to the next; cached in the same way."""
         return self._kept(
             "turn",
-            bias,
+            bias.tobytes(),
             lambda: exponential_matrices(np.einsum("ijn,j->in", self.lever, self.bias - bias)),
         )
 
@@ -74,18 +74,17 @@ class FieldWindows:
         away = self.field - self.field.mean(axis=1)[:, None]
         return float(np.sqrt(np.einsum("in,in->n", away, away)).mean())
 
-    def _kept(self, what: str, point: Array, compute: Callable[[], Array]) -> Array:
-        """Return the cached result if the point is the last one; residuals and Jacobians are requested at the same
+    def _kept(self, what: str, key: object, compute: Callable[[], Array]) -> Array:
+        """Return the cached result if the key is the last one; residuals and Jacobians are requested at the same
         state.
         """
-        key = point.tobytes()
         kept = self._last.get(what)
         if kept is None or kept[0] != key:
             kept = self._last[what] = key, compute()
         return kept[1]
 
     @cached_property
-    def _last(self) -> dict[str, tuple[bytes, Array]]:
+    def _last(self) -> dict[str, tuple[object, Array]]:
         return {}
 
     def part(self, first: int, stop: int) -> FieldWindows:

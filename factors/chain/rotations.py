@@ -143,7 +143,7 @@ def skew(vector: Array) -> Array:
 
 def cross(first: Array, second: Array, out: Array | None = None) -> Array:
     """Return the cross product along the first axis."""
-    result = np.empty(np.broadcast_shapes(first.shape, second.shape)) if out is None else out
+    result = np.empty(np.broadcast(first, second).shape) if out is None else out
     (a, b, c), (x, y, z) = first, second
     np.subtract(b * z, c * y, out=result[0, ...])
     np.subtract(c * x, a * z, out=result[1, ...])

@@ -76,9 +76,9 @@ def _may_stand_out(value: Array) -> bool:
 
     The quartile of `_noise_of_blocks` is below a limit if more differences are than its rank, which needs no sorting.
     """
-    second = np.abs(np.diff(_changes(value)))
-    axes = np.ascontiguousarray(value.T)
-    limit = np.abs(np.diff(axes)).max(axis=1) * (_QUARTILE / _NOISES)
+    change, axes = _changes(value), np.ascontiguousarray(value.T)
+    second = np.abs(change[..., 1:] - change[..., :-1])
+    limit = np.abs(axes[:, 1:] - axes[:, :-1]).max(axis=1) * (_QUARTILE / _NOISES)
     low = (second < limit[:, None, None]) & (second > 0)
     return bool((low.sum(axis=2, dtype=np.uint8) > np.count_nonzero(second, axis=2) // 4).any())
 
@@ -106,7 +106,7 @@ def _noise_of_blocks(value: Array) -> Array:
     differences, from samples that are held or cut off, carry no information on the noise and are excluded.
     """
     change = _changes(value)
-    second = np.abs(np.diff(change))
+    second = np.abs(change[..., 1:] - change[..., :-1])
     place = np.count_nonzero(second, axis=2, keepdims=True) // 4
     ordered = np.sort(np.where(second > 0, second, np.inf))
     quartile = np.take_along_axis(ordered, place, axis=2)[..., 0]
@@ -119,7 +119,8 @@ def _changes(value: Array) -> Array:
     """Return the changes (3, b, _BLOCK − 1) from sample to sample inside the full blocks of value (n, 3)."""
     count = len(value) // _BLOCK
     blocks = np.ascontiguousarray(value[: count * _BLOCK].T).reshape(value.shape[1], count, _BLOCK)
-    return np.asarray(np.diff(blocks))
+    changes: Array = blocks[..., 1:] - blocks[..., :-1]
+    return changes
 
 
 def _stand_out(value: Array, rows: np.ndarray, noise: Array) -> np.ndarray:
