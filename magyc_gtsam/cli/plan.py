@@ -59,7 +59,7 @@ def show_plan(heading: float, options: dict[str, Any], quiet: bool, json: bool) 
         + (
             "--prior as given"
             if "prior" in chosen
-            else "--prior, its matrix good to 0.2 %, its hard iron to nothing"
+            else "--prior, its matrix good to 0.2 %, its hard iron not at all"
         )
         + ". A misalignment of the chips as boards have it is left open; level motion does not show its part about "
         "the vertical. Where that is the limit, --heading helps, or --misalignment 0 if the chips are aligned.",

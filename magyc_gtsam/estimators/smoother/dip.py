@@ -39,7 +39,7 @@ class DipFact(UprightFact):
         here, there = np.degrees([self.measured, self.place.dip])
         return (
             f"the field dips by {here:.1f}° here and by {there:.1f}° at the place ({self.contradiction:.1f} sigmas), "
-            "which is not used: indoors and beside iron the field is not the world's; calibrate in the open, or omit "
+            "which is not used: indoors and beside iron the field is not the world's, so calibrate in the open or omit "
             "the dip"
         )
 

@@ -74,7 +74,7 @@ def known_of(options: SmootherOptions) -> PriorKnowledge:
         if relative > 0.01:
             note = (
                 "the strength of the field tells little: the earlier calibration was made without one, so its scale "
-                "is not known; give it the strength or the place as well"
+                "is not known (give it the strength or the place as well)"
             )
     return PriorKnowledge(tuple(facts), _skew(prior, options), shape, np.array(prior.hard_iron), note)
 
