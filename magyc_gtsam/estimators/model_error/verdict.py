@@ -31,13 +31,15 @@ def reason(error: ModelError, probable: Observability, noise: Observability) -> 
     if worst.sigma <= _MOST * worst.limit:
         return ""
     rows = _ROWS[worst.what.split()[0]]
-    found = [component for component in error.worst(rows) if component in error.components]
-    places = "; ".join(component.sentence for component in found[:_NAMED])
+    found = [component for component in error.worst(rows) if component in error.components][:_NAMED]
+    first = found[0] if found else None
+    place = "what the model does not explain" if first is None else f"{first.sentence}, which"
     moved = f"by ±{worst.sigma:.2g}" if worst.sigma < 100 * worst.limit else "without bounds, in"
-    return (
-        f"what the model does not explain may move the {worst.what} {moved} {worst.unit} (limit "
-        f"{_MOST * worst.limit:.2g}): {places}"
+    remedy = "record where the field is even" if first is not None and first.of_place else worst.remedy
+    sentence = (
+        f"{place} may move the {worst.what} {moved} {worst.unit} (limit {_MOST * worst.limit:.2g}): {remedy}"
     )
+    return "; ".join([sentence, *(other.sentence for other in found[1:])])
 
 
 def remark(error: ModelError, noise: Array, whole: Array) -> str:
