@@ -25,7 +25,7 @@ from magyc_gtsam.gap.validation import agreement
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.report.gap_verdict import Validation
-from magyc_gtsam.report.gap_words import plan_rows
+from magyc_gtsam.report.gap_words import nats_in_words, plan_rows
 from magyc_gtsam.simulation import simulate
 from magyc_gtsam.simulation.environment import CHANNELS
 

@@ -76,13 +76,14 @@ class Untested:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """One candidate and its evidence against the base model.
+    """One candidate and its evidence beside the model without effects.
 
     Attributes:
         name: name in the catalogue, or of a generic family (`generic` is then True).
         label: the name in words.
         generic: True for a family without physical meaning, which shows WHERE something is missing.
-        evidence: gain in log evidence, nats, averaged over values and settings.
+        evidence: gain in log evidence, nats, averaged over values and settings; beside the varying field of the
+            place, if there is one.
         significant: whether that exceeds the odds against one more effect; an effect on the noise must also have its
             form.
         parameters: number of parameters.
@@ -186,7 +187,8 @@ class Gap:
         sentence: the verdict, for a navigator.
         effects: the effects found, in the order in which they were added.
         untested: candidates whose channel is missing.
-        hypotheses: every candidate and generic family with its evidence against the base model, strongest first.
+        hypotheses: every candidate and generic family with its evidence beside the model without effects, strongest
+            first.
         before, after: metrics of the base model and of the final one (the same object if nothing was added).
         moved: parameters of the base model that the effects moved, largest change first; for a given calibration, the
             parameters that the data contradict.

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.detectable import ENOUGH
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.outcome.agreement import Metrics
 from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolability, Moved
+from magyc_gtsam.gap.samples.noise_effects import COUNTED
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
@@ -100,7 +102,7 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
         [
             hypothesis_label(h),
             h.status,
-            f"{h.evidence:.1f}",
+            nats_in_words(h.evidence),
             f"{h.probability:.0%}" if h.probability >= _SHOWN else "",
             _expected(h),
             *([h.sentence] if explained else []),
@@ -109,12 +111,18 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
     ]
 
 
+def nats_in_words(evidence: float) -> str:
+    """Return an evidence as text; effects that are counted, not estimated, are certain."""
+    return "certain" if evidence >= COUNTED else f"{evidence:.{0 if abs(evidence) >= 100 else 1}f}"
+
+
 def evidence_rows(hypotheses: Sequence[Hypothesis], most: int = 14) -> list[tuple[str, float, str, bool]]:
     """Return (label, bar width in %, evidence as text, significant) per hypothesis, strongest first."""
     shown = sorted(hypotheses, key=lambda h: -h.evidence)[:most]
-    size = [float(np.log1p(max(h.evidence, 0.0))) for h in shown]
+    top = max([ENOUGH, *(h.evidence for h in shown if h.evidence < COUNTED)])
+    size = [float(np.log1p(np.clip(h.evidence, 0.0, top)) / np.log1p(top)) for h in shown]
     return [
-        (hypothesis_label(h), 100 * each / max([1.0, *size]), f"{h.evidence:.3g} nats", h.significant)
+        (hypothesis_label(h), 100 * each, nats_in_words(h.evidence), h.significant)
         for h, each in zip(shown, size, strict=True)
     ]
 

@@ -17,6 +17,7 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.generic import Family, families
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.field_variation import CORRELATION, waves
+from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.twin import Columns, Twin, together
 from magyc_gtsam.gap.rules import RULES
 
@@ -142,6 +143,18 @@ def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
     duration = float(twin.time[-1] - twin.time[0])
     most = int(2 * duration / PRIOR.drift_period)
     return [{"order": float(order)} | ends for order in sorted({0, *(min(modes, most) for modes in PRIOR.modes)})]
+
+
+def with_each_drift(model: Model, twin: Twin) -> Iterator[Model]:
+    """Yield a model, and the same with other numbers of modes of its drift, which depend on the effects beside it."""
+    yield model
+    for index, term in enumerate(model.terms):
+        for setting in settings_of(twin, term.name) if term.name == DRIFT else ():
+            order = int(setting["order"])
+            if order and term.setting["order"] and order != term.setting["order"]:
+                terms = list(model.terms)
+                terms[index] = Active(term.name, setting, np.zeros(3 * order))
+                yield replace(model, terms=tuple(terms))
 
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:

@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Candidates, at_settings, settings_of
+from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Candidates, at_settings, with_each_drift
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
 from magyc_gtsam.gap.evidence.neighbours import neighbours
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
@@ -55,7 +55,7 @@ class Tree:
         plain = terms.beside(None)
         self.square, self.freedom = plain.square, len(terms.residual) - len(terms.base)
         self.nodes: dict[tuple[str, ...], Node] = {}
-        # Sets with an impossible value, or without convergence.
+        # Without a possible fit.
         self.refused: set[tuple[str, ...]] = set() if before is None else set(before.refused)
         again = () if before is None else self._again(root, before.near)
         first = [self._node((), root, None, 0.0), *self._given(root, given), *again]
@@ -68,6 +68,11 @@ class Tree:
     def best(self) -> Node:
         """Return the most probable set."""
         return max(self.nodes.values(), key=lambda node: node.log)
+
+    @property
+    def bare(self) -> Node:
+        """Return the set without effects, with the varying field of the place if there is one."""
+        return self.nodes.get((FIELD_VARIATION,), self.nodes[()])
 
     @property
     def near(self) -> list[Node]:
@@ -206,7 +211,7 @@ class Tree:
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
         names, search = (*node.names, option.name), node.search + option.search
-        fits = (self._fit(each, node.fit.twin) for each in _with_each_drift(model, node))
+        fits = (self._fit(each, node.fit.twin) for each in with_each_drift(model, node.fit.twin))
         nodes = [self._node(names, fit, _variation(names, fit), search) for fit in fits if fit is not None]
         if not nodes:
             self.refused.add(node.key_with(option.name))
@@ -277,18 +282,6 @@ class Tree:
         if DRIFT not in node.names:
             found |= one_way(self.candidates, node.beside, node.named)
         return found
-
-
-def _with_each_drift(model: Model, node: Node) -> Iterator[Model]:
-    """Yield a model, and the same with other numbers of modes of its drift, which depend on the effects beside it."""
-    yield model
-    for index, term in enumerate(model.terms):
-        for setting in settings_of(node.fit.twin, term.name) if term.name == DRIFT else ():
-            order = int(setting["order"])
-            if order and term.setting["order"] and order != term.setting["order"]:
-                terms = list(model.terms)
-                terms[index] = Active(term.name, setting, np.zeros(3 * order))
-                yield replace(model, terms=tuple(terms))
 
 
 def _variation(names: Sequence[str], fit: Refit) -> FieldVariation | None:

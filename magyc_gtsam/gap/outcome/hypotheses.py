@@ -35,7 +35,7 @@ def hypotheses(
     named = {f.name for f in found} if word in ("closed", "open") else set()
     rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
     places = {family.name: family.place for family in families(result.first.refit.twin)}
-    weighed = [one for one in result.tree.nodes[()].found.values() if one.name in (*TERMS, *places)]
+    weighed = [one for one in result.tree.bare.found.values() if one.name in (*TERMS, *places)]
     every = [_hypothesis(one, result, places, named, rivals) for one in weighed]
     noise = (each for each in (*discrete, *result.first.noise) if each.name in names)
     every += [_noise_hypothesis(each, named, result.probabilities) for each in noise]

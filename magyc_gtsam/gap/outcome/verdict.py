@@ -110,7 +110,7 @@ def manoeuvre(tree: Tree, found: Sequence[Found], word: Verdict, uncorrected: It
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )
         return Manoeuvre((), motion, f"to identify the effect: {motion}")
-    powers = {one.name: power_of(one) for one in tree.nodes[()].found.values() if one.name in TERMS}
+    powers = {one.name: power_of(one) for one in tree.bare.found.values() if one.name in TERMS}
     blind = sorted((name for name in powers if powers[name] < RULES.would_be_found), key=lambda name: powers[name])
     if blind:
         term = TERMS[blind[0]]

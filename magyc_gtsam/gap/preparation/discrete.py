@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.preparation.held_clock import on_own_clock
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation, sample_hold
+from magyc_gtsam.gap.samples.noise_effects import COUNTED, NoiseScore, quantisation, sample_hold
 from magyc_gtsam.recording import Recording
 
 
@@ -52,7 +52,7 @@ def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
             "axis-order",
             explained,
             0.5,
-            1e6,
+            COUNTED,
             True,
             best.matrix.ravel(),
             np.zeros(9),

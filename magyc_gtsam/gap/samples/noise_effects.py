@@ -17,6 +17,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
 
+COUNTED = 1e6  # nats of an effect that is counted, not estimated
 _MEDIAN = 2.674  # of Gamma(3)
 _SMOOTH = 201  # bins of the periodogram's running median
 _NEAR = 10  # bins on each side of a line that must be far below it; otherwise it is a resonance of the noise
@@ -196,7 +197,7 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
         "quantisation",
         ratio,
         RULES.coarse,
-        1e6 * (ratio > RULES.coarse),
+        COUNTED * (ratio > RULES.coarse),
         ratio > RULES.coarse,
         np.array([step]),
         np.array([0.0]),
@@ -236,7 +237,7 @@ def sample_hold(recording: Recording) -> NoiseScore:
         "sample-hold",
         share,
         RULES.held_rows,
-        1e6 * held,
+        COUNTED * held,
         held,
         np.array([rows]),
         np.array([0.0]),
