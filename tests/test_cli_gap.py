@@ -390,7 +390,7 @@ def test_page_of_a_closed_gap(opened: Any, late: tuple[mg.Recording, Gap], tmp_p
     text = page.inner_text("main")
     for words in ("Magnetometer delay", "On another recording: other.mcap", "Evidence", "Could not be tested"):
         assert words in text
-    assert f"{max(h.evidence for h in gap.hypotheses):.1f}" in text
+    assert nats_in_words(max(h.evidence for h in gap.hypotheses)) in text
 
 
 @pytest.mark.parametrize("width", [390, 1280])
