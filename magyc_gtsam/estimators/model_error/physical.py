@@ -243,9 +243,10 @@ PHYSICAL = (
         "gyroscope:dead band",
         "the gyroscope loses {} about zero",
         _dead_band,
-        0.05,
+        _BAND,  # no more is lost than there is
         prior=USUAL,
         unit="rate",
+        from_rate=True,
     ),
     ColumnFamily(
         "gyroscope:filter",
