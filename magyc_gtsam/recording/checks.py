@@ -162,7 +162,8 @@ def impossible_rates(angular_rate: Array) -> Mask:
 
     Such rows were damaged on their way. In another unit the readings would not stop at half the limit.
     """
-    beyond: Mask = np.abs(angular_rate).max(axis=1, initial=0.0) > _RATE_LIMIT
+    above = angular_rate.max(axis=1, initial=0.0) > _RATE_LIMIT
+    beyond: Mask = above | (angular_rate.min(axis=1, initial=0.0) < -_RATE_LIMIT)
     if beyond.any() and (beyond.mean() > _FEW or np.abs(angular_rate[~beyond]).max() > 0.5 * _RATE_LIMIT):
         beyond[:] = False
     return beyond

@@ -22,8 +22,6 @@ class ManyModel:
         remain: share of the explained evidence that may remain, because effects do not quite have the catalogue's form.
         few: share of the logs up to which an effect without a name is attributed to these logs alone.
         most: number of effects at which a search ends.
-        longest: s, correlation time from which autocorrelated noise is a drift of unknown cause.
-        one_way: share of its power along one axis from which it is not noise.
         alone: nats from which one log alone names an effect on the noise.
         has_it: probability from which a log gets an effect of the place.
         plain: probability from which an effect without a name is attributed to a log.
@@ -42,8 +40,6 @@ class ManyModel:
     remain: float = 0.08
     few: float = 0.34
     most: int = 5
-    longest: float = 4.0
-    one_way: float = 0.75
     alone: float = 6.0
     has_it: float = 0.5
     plain: float = 0.9

@@ -17,6 +17,7 @@ from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import InLog, SharedEffect
 from magyc_gtsam.gap.many.weighing import mixture, nats_of
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
 _NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "coloured-noise")
@@ -92,4 +93,4 @@ def _of_its_form(name: str, scores: Sequence[NoiseScore]) -> bool:
         return True
     times = [score.setting["correlation_time"] for score in scores]
     ways = [score.setting["one_way"] for score in scores]
-    return bool(np.median(times) < MODEL.longest and np.median(ways) < MODEL.one_way)
+    return bool(np.median(times) < RULES.longest_colour and np.median(ways) < RULES.one_way)
