@@ -18,7 +18,6 @@ class Rules:
     # What is tested and corrected.
     # share of the entries in which single axes repeat, above which the steps are coarse
     alone_axis: float = 0.1
-    as_good: float = 0.09  # share of the circular shifts that may explain as much
     blocks: int = 8  # of the held-out test, at least, so that each half contains some of every manoeuvre
     by_chance: float = 0.5  # position between the variances of run lengths by a clock (0) and by chance (1)
     # nats that two fitted parameters of a noise model may gain by chance (with a margin)
@@ -48,7 +47,6 @@ class Rules:
     span: float = 2.5  # widths within which a second bump belongs to the first
     spike: float = 4.5  # sigmas, exceeded by one normal vector in six thousand
     spikes_alone: float = 0.46  # share of the spikes, adjacent ones counted as one, that have no neighbour
-    too_slow: float = 0.7  # share that a shifted channel may still explain; with more the shift is too short
     # nats that a line loses, because the floor below it is estimated: in its level and in its odds
     unsure_line: float = 2.0
     worth_moving: float = 0.5  # root mean square change of the iron, in sigmas, above which it is changed

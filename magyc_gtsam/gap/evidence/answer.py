@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
-from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
+from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, smoothed, without
 from magyc_gtsam.gap.evidence.posterior import (
@@ -120,7 +120,7 @@ def _bare(model: Model, level: SensorNoise) -> Model:
 
 
 def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, float]:
-    each, beside = list(weights(tree)), {}
+    each = list(weights(tree))
     if coloured and "quantisation" not in said:
         for node in tree.nodes.values():
             if node.variation is not None:
@@ -133,13 +133,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
                 each.append(SetWeight(with_colour, node.log + PRIOR.named + colour.alike))
                 log = node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way
                 each.append(SetWeight(key, log, power))
-        if colour_of(tree.nodes[()].beside.left()).alike + PRIOR.named > max(0.0, tree.best.log - PRIOR.close):
-            for names, (log, colour) in beside_colour(tree).items():
-                key = tuple(sorted((*names, COLOUR)))
-                beside[key, False] = log + colour.alike + (len(names) + 1) * PRIOR.named
     models = summed(each, sensor_variation(tree))
-    for one, log in beside.items():
-        models[one] = max(models.get(one, -np.inf), log)
     for name, odds in said.items():  # beside every set
         there = {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
         if name in ("spikes", "tone") and odds > 0:  # or a part of the unknown effect

@@ -93,12 +93,6 @@ class Candidates:
                     return self.columns[rows]
         return self.columns[:0]
 
-    def changed(self, change: Callable[[Array], Array]) -> Candidates:
-        """Return the candidates with their columns transformed."""
-        columns = change(self.columns)
-        batches = tuple(replace(batch, gram=_gram(columns, batch.rows)) for batch in self.batches)
-        return Candidates(columns, self.score_bias, batches)
-
 
 def _gram(columns: Array, places: np.ndarray) -> Array:
     """Return the Gram matrices (B, k, k) of columns (N, 3n) at places (B, k)."""

@@ -111,7 +111,7 @@ class Node:
     def left(self) -> Array:
         """Return the innovations (3n,) after the fit of parameters and terms, without the field variation."""
         twin = self.fit.twin
-        result: Array = Projector(twin.base_columns, twin.base_score_bias)(twin.residual().reshape(1, -1))[0]
+        result: Array = Projector(twin.base_columns)(twin.residual().reshape(1, -1))[0]
         return result
 
     @property

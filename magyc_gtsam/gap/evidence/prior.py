@@ -78,7 +78,6 @@ class Prior:
         least_power: smallest power, in squared sigmas, assumed for the direction of a function of time along one axis.
         one_of_families: log number of families, one of which is colour along one direction.
         hardly_single: log odds below which an effect on single samples is left out.
-        hardly_beside, names_beside: nats above which an effect is tested beside colour, and largest number of these.
     """
 
     scales: Array = field(default_factory=_octaves)
@@ -114,8 +113,6 @@ class Prior:
     least_power: float = 4.0
     one_of_families: float = float(np.log(20))
     hardly_single: float = -3.0
-    hardly_beside: float = -2.0
-    names_beside: int = 2
 
 
 PRIOR = Prior()

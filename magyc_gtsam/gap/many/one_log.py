@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -156,8 +155,3 @@ class OneLog:
         """Return {effect on the noise, or corrected before the estimation: its test} for the present model."""
         fine = fine_innovations(self.recording, self.refitted.model)
         return {score.name: score for score in (*self.discrete, *noise_scores(self.recording, fine, MODEL.alone))}
-
-
-def as_json(setting: Mapping[str, float]) -> dict[str, Any]:
-    """Return a setting as JSON types."""
-    return {k: float(v) for k, v in setting.items()}

@@ -96,7 +96,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         coloured: whether the magnetometer may have coloured noise, too: the fast functions of time in its own axes.
     """
     put = _in_world if in_world else _in_sensor
-    project = Projector(twin.base_columns, twin.base_score_bias)
+    project = Projector(twin.base_columns)
     v = project(twin.residual().reshape(1, -1))[0]
     cosines, courses = waves(twin.time)
     parts = [put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))]

@@ -29,7 +29,6 @@ from magyc_gtsam.gap.model.problem import Active, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.naming.found import Found, as_found
-from magyc_gtsam.gap.naming.own_time import in_its_own_time
 from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
@@ -73,15 +72,9 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     """
     given = tuple(term.name for term in first.refit.model.terms)
     posterior = said.posterior
-    while True:
-        stated = marginals(posterior)
-        rivals = _probable(posterior, stated)
-        fitted = _fitted(said.tree, rivals, given, short_term)
-        terms = enumerate(fitted.model.terms[len(given) :], len(given))
-        by_chance = {term.name for index, term in terms if not in_its_own_time(fitted, index)}
-        if not by_chance:
-            break
-        posterior = _without(posterior, by_chance)
+    stated = marginals(posterior)
+    rivals = _probable(posterior, stated)
+    fitted = _fitted(said.tree, rivals, given, short_term)
     found = [
         *_terms(fitted, len(given), rivals),
         *_noise(said, first, fitted, stated),
@@ -92,13 +85,6 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     if drift_apart(fitted) or (left and "timing" not in rivals and drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
     return Named(said.recording, fitted.twin.problem, first, said.tree, fitted, tuple(found), left, stated)
-
-
-def _without(posterior: Mapping[Set, float], names: AbstractSet[str]) -> dict[Set, float]:
-    """Return the posterior given that some effects are not present."""
-    rest = {key: p for key, p in posterior.items() if names.isdisjoint(key[0])}
-    total = sum(rest.values())
-    return {key: p / total for key, p in rest.items()}
 
 
 def _probable(posterior: Mapping[Set, float], stated: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
