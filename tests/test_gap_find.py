@@ -78,6 +78,11 @@ def test_silent_where_nothing_is_hidden() -> None:
     assert missing == {"motor-current", "temperature-hard-iron", "temperature-gyro", "field-gradient"}
     assert gap.before.open_loop.rms == pytest.approx(gap.before.open_loop.floor, rel=0.1)
     assert {h.status for h in gap.hypotheses} <= {"rejected", "not enough information", "possible"}
+    for each in gap.hypotheses:
+        assert np.isfinite(each.evidence)
+        assert np.isfinite([*each.expected, *each.sigma]).all()
+        # Nothing is said of how large a family or an effect on the noise must be.
+        assert np.isfinite([each.power, each.matters]).all() == (each.name in TERMS)
 
 
 def test_a_late_magnetometer_is_found_with_its_delay_and_the_gap_shrinks(found_late: Gap) -> None:

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap import isolability
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import Candidates
+from magyc_gtsam.gap.evidence.detectable import power_of
+from magyc_gtsam.gap.evidence.weighing import weigh
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.simulation.environment import CHANNELS
 
@@ -79,3 +85,15 @@ def test_names_are_alone_where_a_search_tells_them_from_their_rivals(
     assert wide["gyro-quadratic"].confused_with["gyro-scale"] > 0.5
     assert "as temperature-hard-iron or hard-iron-drift" in tables["tiny"]["temperature-hard-iron"].sentence
     assert not tables["tiny"]["temperature-hard-iron"].nameable
+
+
+def test_the_power_is_of_the_motion_and_not_of_the_noise() -> None:
+    """The time of a jump that noise prefers may be at an end, where no jump is found."""
+    powers = []
+    for seed in range(4):
+        recording = mg.simulate("wide", seed=seed, magnetometer_noise=0.7e-6).recording
+        twin = base_model(recording, None, short_term_noise(recording)).twin
+        found = weigh(Candidates.of(twin, ("hard-iron-step",), ()), Beside.of_model(twin))
+        powers.append(power_of(found["hard-iron-step"]))
+    assert min(powers) > 0.8
+    assert np.ptp(powers) < 0.15

@@ -1,4 +1,4 @@
-"""The twin and the score tests: equal to the field chain, to GTSAM's elimination, and to what they promise."""
+"""The twin and the evidence beside it: equal to the field chain, to GTSAM's elimination, and to what they promise."""
 
 from __future__ import annotations
 

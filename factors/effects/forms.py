@@ -2,7 +2,7 @@
 
 A form is linear in its value, except for a rotation of axes: reading = base model + Σ value_k · column_k. The columns
 are a function of the available signals (time, field, rate, other channels) and of a setting that was searched over
-(the time of a step, the frequency of a tone). The same forms serve the score tests, the joint refit, the GTSAM factor
+(the time of a step, the frequency of a tone). The same forms serve the evidence, the joint refit, the GTSAM factor
 (`effect_chain_factor`) and `Calibration.apply`.
 """
 

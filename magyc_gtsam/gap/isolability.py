@@ -10,7 +10,6 @@ from collections import Counter
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import ncx2
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.rotations import Array
@@ -18,7 +17,7 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates, what_matters
-from magyc_gtsam.gap.evidence.detectable import ENOUGH, needed_and_size
+from magyc_gtsam.gap.evidence.detectable import ENOUGH, found, needed_and_size
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale
 from magyc_gtsam.gap.model.base import base_model
@@ -73,7 +72,8 @@ def _row(
     values = random.standard_normal((_DIRECTIONS, len(rows)))
     values /= np.linalg.norm(values, axis=1)[:, None]
     values /= deviations * what_matters(twin, term.name, setting, len(rows))
-    smallest = _found_from(*needed_and_size(information, cell, values), len(rows))
+    needed, size = needed_and_size(term.name, information[None], np.array([cell]), values[None])
+    smallest = _found_from(needed[0], size[0], len(rows))
     confused: dict[str, float] = {}
     if np.isfinite(smallest):
         signatures = max(smallest, term.matters) * values[:_TRIALS] @ columns
@@ -108,10 +108,8 @@ def _found_from(needed: Array, size: Array, count: int) -> float:
     if float(np.mean(size > 0)) < RULES.found_with:
         return float("inf")
 
-    certain = 4 * needed + 100  # scipy's distribution fails far beyond
-
     def short(log: float) -> float:
-        return float(ncx2.sf(needed, count, np.minimum(np.exp(2 * log) * size, certain)).mean()) - RULES.found_with
+        return float(found(needed, np.exp(2 * log) * size, count).mean()) - RULES.found_with
 
     middle = 0.5 * float(np.log(np.median(needed / np.maximum(size, 1e-300))))
     return float(np.exp(brentq(short, middle - 20, middle + 20)))
@@ -133,9 +131,9 @@ def _confused(
     """
     nats = _weighed(candidates, beside, signatures + random.standard_normal(signatures.shape))
     best = np.max(list(nats.values()), axis=0)
-    found = best > ENOUGH
-    as_good = {other: int((found & (each > best - _AS_GOOD)).sum()) for other, each in nats.items()}
-    often, count = Counter({other: times for other, times in as_good.items() if other != name}), int(found.sum())
+    seen = best > ENOUGH
+    as_good = {other: int((seen & (each > best - _AS_GOOD)).sum()) for other, each in nats.items()}
+    often, count = Counter({other: times for other, times in as_good.items() if other != name}), int(seen.sum())
     return {other: times / count for other, times in often.most_common() if times > RULES.confused * count}
 
 

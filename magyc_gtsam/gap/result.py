@@ -84,14 +84,15 @@ class Hypothesis:
         generic: True for a family without physical meaning, which shows WHERE something is missing.
         evidence: gain in log evidence, nats, averaged over values and settings; beside the varying field of the
             place, if there is one.
-        significant: whether that exceeds the odds against one more effect; an effect on the noise must also have its
-            form.
+        significant: whether that exceeds the odds against one more effect, 3.4 nats; of an effect on the noise, what
+            noise alone reaches in one of a hundred recordings, and whether it has the form of the effect.
         parameters: number of parameters.
         expected, sigma: (k,) estimate and standard deviation if the effect were added, in `unit`.
         unit: unit of the values; empty for a generic family.
         setting: the best grid point.
-        power: probability of finding the smallest effect that matters.
-        matters: the smallest effect that matters, in `unit`.
+        power: probability of finding the smallest value that matters, of the parameter that the motion determines
+            least, averaged over the settings; NaN of a generic family and of an effect on the noise.
+        matters: the smallest value that matters, in `unit`; NaN of the same.
         probability: posterior probability that the effect is present; NaN of a generic family.
         status: "named", "ambiguous" (a rival of a named effect), "possible" (a probability of 5 % or more, too little
             to be named), "explained" (significant, but improbable beside what was named), "significant" (but nothing
@@ -201,7 +202,7 @@ class Gap:
         doubt: why the calibration must not be used, and the remedy; None if it may be used.
         probabilities: posterior probability of every name, of "field-variation" (the field of the place varies), of
             "unknown" (something outside the catalogue, at least 0.015) and of "nothing"; empty if nothing was tested.
-        diagnostics: details of the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …
+        diagnostics: details of the run: "windows", "seconds", "leftover", "left_out" (faults of sensors), …
     """
 
     verdict: Verdict

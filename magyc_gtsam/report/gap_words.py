@@ -113,7 +113,10 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
 
 def nats_in_words(evidence: float) -> str:
     """Return an evidence as text; effects that are counted, not estimated, are certain."""
-    return "certain" if evidence >= COUNTED else f"{evidence:.{0 if abs(evidence) >= 100 else 1}f}"
+    if evidence >= COUNTED:
+        return "certain"
+    digits = 0 if abs(evidence) >= 100 else 1
+    return f"{round(evidence, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 
 def evidence_rows(hypotheses: Sequence[Hypothesis], most: int = 14) -> list[tuple[str, float, str, bool]]:

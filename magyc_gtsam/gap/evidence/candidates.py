@@ -175,10 +175,12 @@ def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> 
 def what_matters(twin: Twin, name: str, setting: Setting, count: int) -> Array:
     """Return the smallest value that matters for each value (count,), SI; divided by k for mode k of a random walk."""
     term = TERMS[name]
-    unit = np.broadcast_to(term.matters / term.deviations(twin, setting), (count,))
-    if setting.get("order"):
-        return unit / np.repeat(np.arange(1.0, count // 3 + 1), 3)
-    return unit
+    return np.broadcast_to(term.matters / term.deviations(twin, setting), (count,)) / modes(name, count)
+
+
+def modes(name: str, count: int) -> Array:
+    """Return the number of the mode of each value (count,) of a drift, three to a mode; 1 for any other effect."""
+    return np.repeat(np.arange(1.0, count // 3 + 1), 3) if name == DRIFT else np.ones(count)
 
 
 def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:

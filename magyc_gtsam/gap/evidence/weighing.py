@@ -39,6 +39,7 @@ class Weighed:
             of which the named effects are a part.
         cell: log prior of the most probable setting.
         information, score: (k, k) and (k,) of its values there, in units of what matters.
+        everywhere: log prior of each setting, and the information (k, k) of the values there.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Weighed:
     cell: float
     information: Array
     score: Array
+    everywhere: tuple[tuple[float, Array], ...]
 
     @property
     def estimate(self) -> tuple[Array, Array]:
@@ -226,6 +228,7 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
         many[best].prior,
         many[best].information,
         many[best].score,
+        tuple((each.prior, each.information) for each in many),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.effects.term import EffectTerm
 from magyc_gtsam.gap.evidence.candidates import what_matters
 from magyc_gtsam.gap.evidence.detectable import ENOUGH, power_of
 from magyc_gtsam.gap.evidence.generic import families
@@ -18,6 +19,8 @@ from magyc_gtsam.gap.outcome.described import IN_TESLA
 from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+
+_HARDLY = 0.005  # a probability that is 0 in per cent
 
 
 def hypotheses(
@@ -46,13 +49,13 @@ def _hypothesis(
     weighed: Weighed, result: Named, places: Mapping[str, str], named: set[str], rivals: set[str]
 ) -> Hypothesis:
     name, term, twin = weighed.name, TERMS.get(weighed.name), result.first.refit.twin
-    significant, power = weighed.log > ENOUGH, power_of(weighed) if term else 1.0
+    significant, power = weighed.log > ENOUGH, power_of(weighed) if term else np.nan
     probability = result.probabilities.get(name, 0.0) if term else np.nan
     value, covariance = weighed.estimate
-    scale, matters = np.ones(len(value)), 0.0
+    scale, matters = np.ones(len(value)), np.nan
     if term:
         scale = term.scale * what_matters(twin, name, weighed.setting, len(value))
-        matters = float(scale[np.argmax(np.diag(covariance))])
+        matters = float(scale.max())
     status: Status
     if name in named:
         status, words = "named", "named"
@@ -65,13 +68,11 @@ def _hypothesis(
     elif significant:
         status, words = "significant", "significant"
     elif term and power < RULES.would_be_found:
-        status, words = (
-            "not enough information",
-            f"the smallest effect that matters ({matters:.2g} {term.unit}) would be found with "
-            f"probability {power:.0%} only",
-        )
-    else:
+        status, words = "not enough information", _hardly_found(term, matters, power, len(value))
+    elif term:
         status, words = "rejected", "not significant, though what matters would have been found"
+    else:
+        status, words = "rejected", "not significant"
     return Hypothesis(
         name=name,
         label=term.label if term else f"anything in {places[name]}",
@@ -89,6 +90,12 @@ def _hypothesis(
         status=status,
         sentence=words,
     )
+
+
+def _hardly_found(term: EffectTerm, matters: float, power: float, count: int) -> str:
+    of_one = " in the parameter that this motion determines least" if count > 1 else ""
+    found = f"be found with probability {power:.0%} only" if power >= _HARDLY else "hardly ever be found"
+    return f"the smallest value that matters ({matters:.2g} {term.unit}){of_one} would {found}"
 
 
 def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping[str, float]) -> Hypothesis:
@@ -114,8 +121,8 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping
         sigma=noise.sigma * scale,
         unit="µT" if scale > 1 else "",
         setting=dict(noise.setting),
-        power=1.0,
-        matters=0.0,
+        power=np.nan,
+        matters=np.nan,
         probability=probabilities.get(noise.name, 0.0),
         status=status,
         sentence=words,

@@ -118,7 +118,7 @@ def gap_of(
     shifted = moved(plainly, used) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
-    wanted = manoeuvre(result.tree, found, word, open_places)
+    wanted = manoeuvre(tested, result.fitted.twin, found, result.leftover, open_places)
     if applied:
         effects = with_model_error(effects, corrected, used)
         sentence = verdict(effects, result.leftover, base.twin, catalogue)[1]

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.evidence.detectable import power_of
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import label_of, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
-from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
@@ -87,32 +85,44 @@ def _place(left: Sequence[str], twin: Twin, catalogue: str) -> str:
     return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
 
 
-def manoeuvre(tree: Tree, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
+def manoeuvre(
+    hypotheses: Sequence[Hypothesis],
+    twin: Twin,
+    found: Sequence[Found],
+    left: Sequence[str],
+    uncorrected: Iterable[int],
+) -> Manoeuvre | None:
     """Return the next manoeuvre.
 
-    Its motion determines an effect that is named only, distinguishes an effect from its rivals, or makes effects
-    detectable. None if no manoeuvre is needed.
+    Its motion determines an effect that is named only, distinguishes an effect from its rivals, identifies what is
+    missing, or makes effects detectable. None if no manoeuvre is needed.
+
+    Args:
+        hypotheses: all candidates.
+        twin: of the recording.
+        found: effects that were found.
+        left: names of what is present beside them.
+        uncorrected: places in `found` of effects that are named only.
     """
-    twin = tree.best.fit.twin
     for place in uncorrected:
         one = found[place]
         motion = TERMS[one.name].motion
         return Manoeuvre((one.name,), motion, f"to correct “{LABELS[one.name]}”: {motion}")
     for f in found:
-        if f.rivals and f.name in TERMS and word in ("closed", "open"):
+        if f.rivals and f.name in TERMS:
             names = (f.name, *f.rivals)
             needed = TERMS[f.rivals[0]].missing(twin)
             motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion
             labels = " from ".join(LABELS.get(n, FIELD_VARIES) for n in names[:2])
             return Manoeuvre(names, motion, f"to distinguish {labels}: {motion}")
-    if word == "unknown":
+    if left and CLOCK_DRIFT not in left:
         motion = (
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )
         return Manoeuvre((), motion, f"to identify the effect: {motion}")
-    powers = {one.name: power_of(one) for one in tree.bare.found.values() if one.name in TERMS}
-    blind = sorted((name for name in powers if powers[name] < RULES.would_be_found), key=lambda name: powers[name])
+    unsure = (h for h in hypotheses if h.status in ("possible", "not enough information"))
+    blind = sorted((h for h in unsure if h.power < RULES.would_be_found), key=lambda h: h.power)
     if blind:
-        term = TERMS[blind[0]]
-        return Manoeuvre(tuple(blind), term.motion, f"to test for “{term.label}”: {term.motion}")
+        term = TERMS[blind[0].name]
+        return Manoeuvre(tuple(h.name for h in blind), term.motion, f"to test for “{term.label}”: {term.motion}")
     return None
