@@ -20,7 +20,7 @@ from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh
 from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.judged import judged
-from magyc_gtsam.gap.outcome.verdict import missing
+from magyc_gtsam.gap.outcome.verdict import among, missing
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
@@ -30,9 +30,10 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The state of a search: the logs, the added effects, the logs left out, and the last look."""
+    """The state of a search: the logs, the candidates, the added effects, the logs left out, and the last look."""
 
     logs: tuple[OneLog, ...]
+    names: tuple[str, ...]
     added: tuple[AddedEffect, ...] = ()
     own: tuple[LogLeftOut, ...] = ()
     weighed: tuple[WeighedOverLogs, ...] = ()
@@ -56,7 +57,7 @@ def find_gap_of_many(
     state = _fitted_logs(recordings, candidates, lambda share: report(0.4 * share))
     if len(state.logs) >= MODEL.least:
         for step in range(MODEL.most + 1):
-            state, going = _step(state, candidates, step < MODEL.most)
+            state, going = _step(state, step < MODEL.most)
             report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
             if not going:
                 break
@@ -96,13 +97,13 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         except MagycError as problem:
             own.append(LogLeftOut(called, str(problem)))
         report((k + 1) / len(recordings))
-    return _State(tuple(logs), own=tuple(own))
+    return _State(tuple(logs), tuple(names), own=tuple(own))
 
 
-def _step(state: _State, names: Sequence[str], more: bool) -> tuple[_State, bool]:
+def _step(state: _State, more: bool) -> tuple[_State, bool]:
     """Test all effects, and add the strongest or leave out logs with an unknown effect; return whether to continue."""
     had = [each.name for each in state.added]
-    asked = [name for name in names if name in TERMS and name not in had]
+    asked = [name for name in state.names if name in TERMS and name not in had]
     weighed = _look(state.logs, asked)
     state = replace(state, weighed=weighed)
     strongest = weighed[0]
@@ -172,7 +173,7 @@ def _alternatives(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
 
 def _without_logs(state: _State, few: np.ndarray, strongest: WeighedOverLogs) -> _State:
     own = tuple(
-        LogLeftOut(log.name, f"{_missing(strongest.name, [log])}; the log was left out")
+        LogLeftOut(log.name, f"{_missing(strongest.name, [log], state.names)}; the log was left out")
         for log, out in zip(state.logs, few, strict=True)
         if out
     )
@@ -184,11 +185,11 @@ def _without_logs(state: _State, few: np.ndarray, strongest: WeighedOverLogs) ->
     return replace(state, logs=kept, own=(*state.own, *own), added=added)
 
 
-def _missing(name: str, logs: Sequence[OneLog]) -> str:
+def _missing(name: str, logs: Sequence[OneLog], names: Sequence[str]) -> str:
     """Return in words that an effect or a generic family is missing."""
     every = (family for log in logs for family in families(log.refitted.twin))
     place = next((family.place for family in every if family.name == name), "")
-    return missing(name, place) + (", and it is not in the catalogue" if place else "")
+    return missing(name, place) + (f", and it is not {among(names)}" if place else "")
 
 
 def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _State:
@@ -239,7 +240,7 @@ def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
     if len(state.logs) < MODEL.least:
         verdict, said = "not enough information", f"{len(state.logs)} of the logs can be used, and two are needed"
     elif state.unknown:
-        verdict, where = "unknown", _missing(state.unknown, state.logs)
+        verdict, where = "unknown", _missing(state.unknown, state.logs, state.names)
         said = f"{named}; beside that, {where}" if named else where
     elif effects:
         verdict, said = "closed", named

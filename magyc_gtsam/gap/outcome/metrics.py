@@ -98,7 +98,7 @@ def heading_error(recording: Recording, calibration: Calibration) -> float | Non
         return None
     # The timing is not applied to the field; a late field is compared with the attitude at its own time instead.
     still = replace(calibration, terms=tuple(t for t in calibration.terms if t.name != "timing"))
-    field, time = still.apply(recording), recording.time
+    field, time = still.corrected(recording), recording.time
     attitude = Slerp(time[known], Rotation.from_quat(recording.attitude[known]))
     fresh = known & recording.magnetic_field_fresh & (time - calibration.delay >= time[known][0])
     fresh &= time - calibration.delay <= time[known][-1]

@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.effects.term import Term
-from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
@@ -23,7 +23,7 @@ from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
 from magyc_gtsam.gap.outcome.moved import against, contradiction, moved
-from magyc_gtsam.gap.outcome.verdict import manoeuvre, place_of, unseen, verdict
+from magyc_gtsam.gap.outcome.verdict import among, manoeuvre, place_of, unseen, verdict
 from magyc_gtsam.gap.outcome.worth import pays
 from magyc_gtsam.gap.preparation.clocks import APART_IN_BRIEF, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Doubt, Gap, Manoeuvre, Untested
@@ -98,7 +98,7 @@ def gap_of(
     turned = tuple(term for term in added if term.name == "axis-order")  # already corrected in the fitted data
     started = as_calibration(base, strength, (*known, *turned))
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
-    catalogue = "in the catalogue" if names == NAMES else "among the candidates"
+    catalogue = among(names)
     effects = describe(found, last, result.probabilities, open_places, unpaid)
     word, sentence = verdict(effects, result.leftover, base.twin, catalogue)
     applied = word in ("closed", "open")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import label_of, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
@@ -42,6 +42,11 @@ def verdict(effects: Sequence[Effect], left: Sequence[str], twin: Twin, catalogu
     return word, "; ".join(sentences(ordered))
 
 
+def among(names: Sequence[str]) -> str:
+    """Return the set of candidates in words."""
+    return "in the catalogue" if set(names) == set(NAMES) else "among the candidates"
+
+
 def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
     """Return the limits of the verdict "none": effects that are too small, or that would not have been found."""
     blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
@@ -55,7 +60,8 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
         more = f" and {len(blind) - _SPELLED} more" if len(blind) > _SPELLED else ""
         parts.append(f"this motion could not have shown every relevant value of {named}{more}")
     if untested:
-        parts.append(f"{untested} effects could not be tested, because their channel is not in the log")
+        effects = "1 effect" if untested == 1 else f"{untested} effects"
+        parts.append(f"{effects} could not be tested, for want of a channel in the log")
     return "; ".join(parts) or "every relevant value of the tested effects would have been detected"
 
 

@@ -21,7 +21,8 @@ def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
     if clipped.share > RULES.cut_off:
         why = f"at most {RULES.cut_off:.0%} can be modelled"
     remedy = "choose a larger full scale, or move what is magnetic away from the sensor"
-    doubt = Doubt(f"axis {clipped.axes} of the magnetometer is cut off, {why}", remedy)
+    axes = f"axis {clipped.axes}" if len(clipped.axes) == 1 else f"axes {' and '.join(clipped.axes)}"
+    doubt = Doubt(f"{axes} of the magnetometer cut off, {why}", remedy)
     doubted_gap = replace(
         gap,
         verdict=gap.verdict if gap.verdict == "not enough information" else "open",
