@@ -131,7 +131,7 @@ def test_the_command_takes_many_logs(late: list[mg.Recording], tmp_path: Path) -
     assert kept.delay == pytest.approx(0.02, abs=0.02)
 
 
-def test_what_is_in_no_catalogue_is_told_in_words() -> None:
+def test_what_is_not_among_the_candidates_is_told_in_words() -> None:
     logs = []
     for seed in (1, 2):
         recording = mg.simulate("wide", 120, seed=seed).recording
@@ -140,7 +140,7 @@ def test_what_is_in_no_catalogue_is_told_in_words() -> None:
     gap = mg.find_gap(logs, candidates=["timing"])
     assert gap.verdict == "unknown"
     assert gap.sentence.endswith(
-        "varies with the direction of the field (attitude) is missing, and it is not in the catalogue"
+        "varies with the direction of the field (attitude) is missing, and it is not among the candidates"
     )
 
 
