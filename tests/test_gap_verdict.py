@@ -9,11 +9,14 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
 from magyc_gtsam.gap.outcome.doubt import left_open
-from magyc_gtsam.gap.result import Effect, Gap, Manoeuvre
+from magyc_gtsam.gap.outcome.verdict import manoeuvre
+from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Manoeuvre, Status
 from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
 
 CALIBRATION = Calibration(np.eye(3), np.zeros(3), np.zeros(3), np.eye(12) * 1e-14, field_strength=50e-6)
@@ -91,3 +94,28 @@ def test_without_another_log_the_gap_speaks_for_itself() -> None:
     unjudged = judged_gap(closed(), None, "brief.mcap: 2 windows")
     assert not unjudged.trusted
     assert unjudged.title == "The result could not be judged on the other log"
+
+
+def _unsure(name: str, power: float) -> Hypothesis:
+    one = np.ones(1)
+    status: Status = "not enough information"
+    return Hypothesis(name, name, False, 0.0, False, 1, one, one, "", {}, power, 1.0, 0.01, status, "")
+
+
+def test_the_next_manoeuvre_is_one_that_helps() -> None:
+    """For what is missing, its channels; else the motion for the effect that is hardest to see, unless of a moment."""
+    twin = base_model(recording := mg.simulate("wide", 60).recording, None, short_term_noise(recording)).twin
+    unsure = [
+        _unsure("local-anomaly", 0.0),
+        _unsure("timing", 0.5),
+        _unsure("cubic", 0.1),
+        _unsure("tone", np.nan),
+    ]
+    lost = manoeuvre(unsure, twin, (), ["field:quadratic"], ())
+    assert lost is not None
+    assert "every channel logged" in lost.sentence
+    seen = manoeuvre(unsure, twin, (), [], ())
+    assert seen is not None
+    assert seen.separates == ("cubic", "timing")
+    assert seen.motion == TERMS["cubic"].motion
+    assert manoeuvre(unsure[:1], twin, (), [], ()) is None

@@ -41,5 +41,6 @@ LABELS: dict[str, str] = {name: term.label for name, term in TERMS.items()} | {
 }
 
 NAMES: tuple[str, ...] = tuple(LABELS)
+MOMENTS = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # functions of time alone, at times of one log
 
-__all__ = ["LABELS", "NAMES", "TERMS", "EffectTerm"]
+__all__ = ["LABELS", "MOMENTS", "NAMES", "TERMS", "EffectTerm"]

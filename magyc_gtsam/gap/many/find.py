@@ -9,10 +9,10 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.many.described import AddedEffect, told
-from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
+from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
 from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight

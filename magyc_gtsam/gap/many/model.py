@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from magyc_gtsam.gap.effects import MOMENTS
+
 
 @dataclass(frozen=True)
 class ManyModel:
@@ -49,6 +51,5 @@ class ManyModel:
 
 
 MODEL = ManyModel()
-MOMENTS = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # at times of a log; no value common to all logs
 OF_THE_PLACE = (*MOMENTS, "field-gradient")  # whatever their values
 OF_THE_INSTRUMENT = ("saturation",)  # its value is a level relative to the readings of a log

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.evidence.beside import solved
-from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT, OF_THE_PLACE
+from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT, OF_THE_PLACE
 from magyc_gtsam.gap.many.one_log import Test
 
 Tests = Mapping[str, tuple[Test, ...]]

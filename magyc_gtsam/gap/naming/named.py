@@ -16,7 +16,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
 from magyc_gtsam.gap.evidence.decision import marginals
@@ -33,8 +33,6 @@ from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
-
-_OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # functions of time alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +173,7 @@ def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]]) -> 
 
 def _without_channel(name: str, twin: Twin) -> list[str]:
     """Return the effects whose missing channel might explain a change with time."""
-    if name not in _OF_TIME:
+    if name not in MOMENTS:
         return []
     return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.effects import LABELS, MOMENTS, NAMES, TERMS
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import label_of, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
@@ -126,7 +126,9 @@ def manoeuvre(
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )
         return Manoeuvre((), motion, f"to identify the effect: {motion}")
-    unsure = (h for h in hypotheses if h.status in ("possible", "not enough information"))
+    # No motion shows what happened at a moment.
+    others = (h for h in hypotheses if h.name not in MOMENTS)
+    unsure = (h for h in others if h.status in ("possible", "not enough information"))
     blind = sorted((h for h in unsure if h.power < RULES.would_be_found), key=lambda h: h.power)
     if blind:
         term = TERMS[blind[0].name]
