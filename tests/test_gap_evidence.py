@@ -183,7 +183,7 @@ def test_a_product_pays_for_the_time_of_its_jump() -> None:
     node = tree.nodes[()]
     step = node.found["hard-iron-step"]
     assert step.search > 3
-    for family in neighbours(node.fit.twin, "hard-iron-step", step.setting):
+    for family in neighbours("hard-iron-step", step.setting):
         free = weigh(Candidates.of(node.fit.twin, (), [family]), node.beside, node.named)[family.name]
         paid = node.found[family.name]
         assert paid.log == pytest.approx(free.log - step.search)

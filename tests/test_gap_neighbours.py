@@ -29,7 +29,7 @@ def twin() -> Twin:
 def test_neighbours_are_products(twin: Twin) -> None:
     setting = {"time": 100.0}
     plain = twin.columns("hard-iron-step", setting).window
-    reading, gain, field = (f.columns(twin).window for f in neighbours(twin, "hard-iron-step", setting))
+    reading, gain, field = (f.columns(twin).window for f in neighbours("hard-iron-step", setting))
     on = twin.time > 100.0
     seen = twin.windows.need("field")
     unit = np.sqrt((seen**2).mean())
@@ -42,10 +42,10 @@ def test_neighbours_are_products(twin: Twin) -> None:
 
     turned = twin.columns("timing", {}).window
     speed = np.linalg.norm(twin.windows.need("rate"), axis=0)
-    fast, faster = (f.columns(twin).window for f in neighbours(twin, "timing", {}))
+    fast, faster = (f.columns(twin).window for f in neighbours("timing", {}))
     np.testing.assert_allclose(fast, turned * speed / np.sqrt((speed**2).mean()))
     np.testing.assert_allclose(faster, turned * speed**2 / np.sqrt((speed**4).mean()))
-    assert neighbours(twin, "tone", {"frequency": 1.0}) == []
+    assert neighbours("tone", {"frequency": 1.0}) == []
     assert product_of("timing×speed") == "timing"
     assert product_of("rate×field") is product_of("timing") is None
 

@@ -24,7 +24,7 @@ from magyc_gtsam.gap.model.twin import Columns, Twin
 Product = Callable[[Array, Signals], Array]
 
 
-def neighbours(twin: Twin, name: str, setting: Setting) -> list[Family]:
+def neighbours(name: str, setting: Setting) -> list[Family]:
     """Return the products of an effect at a setting, as families."""
     term = TERMS.get(name)
     if term is None:

@@ -275,7 +275,7 @@ class Tree:
         # the setting of that effect, with the same penalty for the grid search.
         likely = [(each.name, each.setting, each.search) for each in best_of(found, PRIOR.beam) if each.log > 0]
         likely += [(term.name, term.setting, 0.0) for term in node.fit.model.terms]
-        products = {f.name: (f, cost) for name, at, cost in likely for f in neighbours(twin, name, at)}
+        products = {f.name: (f, cost) for name, at, cost in likely for f in neighbours(name, at)}
         if products:
             made = weigh(Candidates.of(twin, (), [f for f, _ in products.values()]), node.beside, node.named)
             found |= {name: each.less(products[name][1]) for name, each in made.items()}

@@ -114,7 +114,7 @@ class OneLog:
     def tests(self, names: Sequence[str]) -> dict[str, tuple[Test, ...]]:
         """Return {effect or generic family: its tests at all settings}."""
         twin = self.refitted.twin
-        beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
+        beside = [f for active in twin.model.terms for f in neighbours(active.name, active.setting)]
         among = (*families(twin), *{f.name: f for f in beside}.values())
         return self._tested(Candidates.of(twin, names, among))
 

@@ -124,10 +124,6 @@ class Twin:
         link = residuals.link[None] * self.chain.link_scale
         return self._filter(window, link)[0]
 
-    def innovations(self, window: Array, link: Array) -> Array:
-        """Return the innovations (k, 3, n) of noise draws of windows (k, 3, n) and links (k, 3, n − 1), in sigmas."""
-        return self._filter(window, link)
-
     def whiten(self, columns: Columns) -> Array:
         """Return the innovations (p, 3n) of regressors."""
         return self._filter_of_units(columns.window, columns.link).reshape(len(columns.window), -1)
