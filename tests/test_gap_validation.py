@@ -108,3 +108,19 @@ def test_a_log_that_lacks_what_is_needed(tmp_path: Path, capsys: pytest.CaptureF
     assert "could not be judged on the other log: unlogged.mcap: " in (said := capsys.readouterr().err)
     assert "no current channel" in said
     assert (out / "report.html").exists()
+
+
+def test_an_effect_of_another_size_does_not_hold() -> None:
+    """The value on trial is not fitted to the log that tries it."""
+    effect = [("misalignment", 2.0)]
+    first, same = (
+        mg.simulate("wide", 200, seed=seed, effects=effect, effects_seed=5).recording for seed in (6, 7)
+    )
+    gap = mg.find_gap(first, candidates=["misalignment"])
+    assert gap.names == ("misalignment",)
+    none = mg.simulate("wide", 200, seed=8).recording
+    better, worse = (
+        agreement(log, gap.calibration).held_out - agreement(log, gap.base).held_out for log in (same, none)
+    )
+    assert better > 1
+    assert worse < -1

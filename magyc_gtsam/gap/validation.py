@@ -57,7 +57,7 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
     problem = Problem.of(recording, preintegrate(recording, RULES.window))
     twin = _own_bias(problem, as_model(problem, calibration))
     tried = replace(calibration, gyro_bias=twin.model.parameters[_BIAS], converged=False)  # with any bias
-    return measure(twin, tried)
+    return measure(twin, tried, fitted=_of_bias(twin))
 
 
 def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, ...]:
@@ -152,11 +152,16 @@ def as_model(problem: Problem, calibration: Calibration) -> Model:
     return Model(parameters, free, noise, terms)
 
 
+def _of_bias(twin: Twin) -> Array:
+    """Return the columns (3, 3n) of the bias: those of the terms follow, whose values are the calibration's."""
+    return twin.base_columns[:3]
+
+
 def _own_bias(problem: Problem, model: Model) -> Twin:
     """Return the twin with the bias at its minimum."""
     twin = Twin.of(problem, model)
     for _ in range(_STEPS):
-        columns = twin.base_columns[:3]
+        columns = _of_bias(twin)
         step = -np.linalg.solve(columns @ columns.T, columns @ twin.residual().ravel())
         if float(step @ (columns @ columns.T) @ step) < _SETTLED:
             break

@@ -9,9 +9,9 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 
-def held_out(twin: Twin, innovation: Array) -> float:
-    """Return the log-likelihood per window (nats) on blocks that the parameters were not fitted to."""
-    base, block = twin.base_columns, interleaved(twin.time, RULES.block)
+def held_out(twin: Twin, innovation: Array, base: Array) -> float:
+    """Return the log-likelihood per window (nats) on blocks that were not fitted, of what has columns (q, 3n)."""
+    block = interleaved(twin.time, RULES.block)
     flat = innovation.ravel()
     size = np.maximum(np.linalg.norm(base, axis=1), 1e-300)[:, None]
     square = 0.0

@@ -24,13 +24,16 @@ _BINS = 30
 _FEW = 5  # windows below which a bin is left out
 
 
-def measure(twin: Twin, calibration: Calibration, fine: Fine | None = None) -> Metrics:
+def measure(
+    twin: Twin, calibration: Calibration, fine: Fine | None = None, fitted: Array | None = None
+) -> Metrics:
     """Compute all metrics of a model on its recording.
 
     Args:
         twin: the linearised model.
         calibration: the same model as a calibration.
         fine: innovations of single samples, for lines above the frequencies of the motion; None leaves them out.
+        fitted: columns (q, 3n) of what was fitted to this recording; None for all parameters and terms of the model.
     """
     v = twin.residual()
     lines: tuple[Line, ...] = ()
@@ -39,7 +42,7 @@ def measure(twin: Twin, calibration: Calibration, fine: Fine | None = None) -> M
         if found.significant:
             lines = (Line(found.setting["frequency"], float(found.value[0]), found.evidence),)
     return Metrics(
-        held_out=held_out(twin, v),
+        held_out=held_out(twin, v, twin.base_columns if fitted is None else fitted),
         open_loop=open_loop(twin),
         whiteness=whiteness(v),
         lines=lines,
