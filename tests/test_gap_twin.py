@@ -153,7 +153,7 @@ def weighed(twin: Twin, name: str) -> Weighed:
     return weigh(Candidates.of_parts(twin, [at_settings(twin, name, [{}])]), Beside.of_model(twin))[name]
 
 
-def test_the_score_test_promises_what_the_refit_finds() -> None:
+def test_the_estimate_beside_the_model_is_what_the_refit_finds() -> None:
     simulation = mg.simulate("wide", duration=300, seed=6, delay=0.02)
     short_term = short_term_noise(simulation.recording)
     base = base_model(simulation.recording, None, short_term)

@@ -27,7 +27,7 @@ class Rules:
     contradicted: float = 4.0  # sigmas above which the data contradict a parameter of a given calibration
     # sigma, relative to the prior's, up to which the data determine a direction of the values
     determined_by_data: float = 0.75
-    # probability of any name by chance, all candidates together, in a recording without an effect
+    # probability that noise alone makes any effect on the noise significant, or rejects any assumption of a simulator
     family_wise: float = 0.01
     # prior standard deviations beyond which a value is not possible; a scale that grew by 95 % per rad/s fitted a phone
     # in a pocket
