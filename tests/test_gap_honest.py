@@ -53,7 +53,7 @@ def test_a_calibration_that_is_given_is_tested(clean: mg.Recording, nothing: Gap
     assert "does not fit" not in same.sentence
     wrong = replace(nothing.calibration, hard_iron=nothing.calibration.hard_iron + [20e-6, 0, 0])
     gap = mg.find_gap(clean, calibration=wrong)
-    assert gap.sentence.startswith("the calibration given does not fit these data, hard iron x is off by -20")
+    assert gap.sentence.startswith("the calibration given does not fit these data, hard iron x is off by −20")
     assert (same.verdict, gap.verdict) == ("none", "closed")
     assert gap.moved[0].name == "hard iron x"
     assert gap.moved[0].after - gap.moved[0].before == pytest.approx(-20, abs=0.1)

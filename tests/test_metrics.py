@@ -25,7 +25,7 @@ def test_the_model_of_a_calibration_is_in_tesla():
     np.testing.assert_allclose(matrix, 50e-6 * MATRIX)
     np.testing.assert_allclose(offset, OFFSET * 1e-6)
     with pytest.raises(MagycError, match="no field strength"):
-        metrics.model(Calibration(MATRIX, OFFSET))
+        metrics.model(Calibration(MATRIX, OFFSET * 1e-6))
 
 
 def test_normalised_model_error_is_relative():

@@ -98,10 +98,11 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
     # The likelihood also falls where only the noise differs; the prediction error shows whether the correction helps.
     if after > before - _WORSE or loop.rms < _BETTER * validation.before.open_loop.rms:
         return None
+    fell = [f"{value:.3f}".replace("-", "−") for value in (before, after)]
     return (
         fails,
         Doubt("the correction makes its prediction no better", "use the correction on this log only"),
-        f"the log-likelihood per window falls from {before:.3f} to {after:.3f} there: what was found is not there, or "
+        f"the log-likelihood per window falls from {fell[0]} to {fell[1]} there: what was found is not there, or "
         "is not a property of the instrument",
     )
 

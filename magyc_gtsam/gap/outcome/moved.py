@@ -32,9 +32,10 @@ def contradiction(rows: Sequence[Moved]) -> str:
         return ""
     worst = lasting[0]
     more = f" and {len(lasting) - 1} more" if len(lasting) > 1 else ""
+    off = f"{worst.after - worst.before:.3g}".replace("-", "−")
     return (
-        f"the calibration given does not fit these data, {worst.name} is off by {worst.after - worst.before:.3g} "
-        f"{worst.unit} ({abs(worst.sigmas):.0f} sigmas){more}, and was fitted anew; "
+        f"the calibration given does not fit these data, {worst.name} is off by {off} {worst.unit} "
+        f"({abs(worst.sigmas):.0f} sigmas){more}, and was fitted anew; "
     )
 
 
@@ -62,4 +63,5 @@ def _terms(given: Calibration, refitted: Calibration) -> Iterator[Moved]:
         sigma = np.hypot(old.sigma, new.sigma) * term.scale
         for i, part in enumerate(term.names(len(old.value))):
             values = float(old.value[i]) * term.scale, float(new.value[i]) * term.scale
-            yield Moved(f"{term.label}, {part}", *values, float(sigma[i]), term.unit)
+            label = f"{term.label}, {part}" if len(old.value) > 1 else term.label
+            yield Moved(label, *values, float(sigma[i]), term.unit)
