@@ -8,7 +8,7 @@ from magyc_gtsam import metrics
 from magyc_gtsam.blindtest.generator import noise_free
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.calibration.calibrated import calibrated, lag_of, without_lag
+from magyc_gtsam.calibration.calibrated import calibrated_on_time
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation.effects import EFFECTS
 
@@ -28,7 +28,7 @@ def heading_errors(scenario: Scenario, result: dict[str, Any]) -> tuple[float, f
 
 def heading_error(calibration: Calibration, recording: Recording) -> float:
     """Return the standard deviation, deg, of the calibrated field's heading against the attitude's."""
-    corrected = without_lag(calibrated(calibration, recording), lag_of(calibration))
+    corrected = calibrated_on_time(calibration, recording)
     assert corrected.attitude is not None
     rows = corrected.magnetic_field_fresh
     return metrics.heading_deviation(corrected.magnetic_field[rows], corrected.attitude[rows])

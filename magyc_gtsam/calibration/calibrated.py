@@ -38,3 +38,8 @@ def without_lag(recording: Recording, lag: float) -> Recording:
     return recording.with_samples(
         (time - lag, field), None if recording.angular_rate is None else recording.gyroscope
     )
+
+
+def calibrated_on_time(calibration: Calibration, recording: Recording) -> Recording:
+    """Return the calibrated recording with the lag of the magnetometer by the calibration's terms taken from it."""
+    return without_lag(calibrated(calibration, recording), lag_of(calibration))

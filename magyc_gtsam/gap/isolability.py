@@ -7,6 +7,7 @@ are weighed like a recording's; an effect is confused with the names that often 
 from __future__ import annotations
 
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -43,28 +44,62 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
     """
     noise = short_term_noise(recording)
     twin = base_model(recording, None, noise).twin
-    candidates, beside = Candidates.of(twin, tuple(TERMS), ()), Beside.of_model(twin)
-    random = np.random.default_rng(0)
-    tested = {name for batch in candidates.batches for name in batch.names}
+    trials, random = (
+        _Trials.of(Candidates.of(twin, tuple(TERMS), ()), Beside.of_model(twin)),
+        np.random.default_rng(0),
+    )
+    tested = {name for batch in trials.candidates.batches for name in batch.names}
     terms = tuple(
-        _row(term, candidates, beside, twin, random) if name in tested else _absent(term, term.missing(twin))
+        _row(term, trials, twin, random) if name in tested else _absent(term, term.missing(twin))
         for name, term in TERMS.items()
     )
     return (*terms, *noise_isolability(recording, noise.magnetometer))
 
 
-def _row(
-    term: EffectTerm, candidates: Candidates, beside: Beside, twin: Twin, random: np.random.Generator
-) -> Isolability:
+class _Trials(NamedTuple):
+    """Candidates beside the model without effects.
+
+    Attributes:
+        candidates: the effects.
+        beside: the model.
+        reach: (N, m) of the candidates' columns.
+        spectra: eigenvalues (B, k) and eigenvectors (B, k, k) of the information, for each batch of candidates.
+    """
+
+    candidates: Candidates
+    beside: Beside
+    reach: Array
+    spectra: list[tuple[Array, Array]]
+
+    @classmethod
+    def of(cls, candidates: Candidates, beside: Beside) -> _Trials:
+        reach = beside.see(candidates.columns, np.zeros(len(candidates.columns))).reach
+        every = (np.linalg.eigh(information_of(batch, beside.noise, reach)) for batch in candidates.batches)
+        return cls(candidates, beside, reach, [(np.maximum(value, 0.0), vector) for value, vector in every])
+
+    def weighed(self, innovations: Array) -> dict[str, Array]:
+        """Return {name: nats (trials,)} of innovations (trials, 3n)."""
+        seen = self.beside.see(innovations, np.zeros(len(innovations))).reach
+        score = self.candidates.columns @ innovations.T - self.reach @ seen.T
+        result: dict[str, Array] = {}
+        for batch, (value, vector) in zip(self.candidates.batches, self.spectra, strict=True):
+            each = nats_by_scale(batch.names, value, np.einsum("bki,bkt->bit", vector, score[batch.rows]))
+            for i, name in enumerate(batch.names):
+                own = np.logaddexp.reduce(each[i], axis=0) + batch.prior[i] - np.log(len(PRIOR.scales))
+                result[name] = np.logaddexp(result[name], own) if name in result else own
+        return result
+
+
+def _row(term: EffectTerm, trials: _Trials, twin: Twin, random: np.random.Generator) -> Isolability:
+    candidates = trials.candidates
     at = [
         (batch.rows[i], batch.settings[i], float(batch.prior[i]))
         for batch in candidates.batches
         for i, name in enumerate(batch.names)
         if name == term.name
     ]
-    rows, setting, cell = at[len(at) // 2]  # a typical one
-    columns, none = candidates.columns[rows], np.zeros(len(rows))
-    reach = beside.see(columns, none).reach
+    rows, setting, cell = sorted(at, key=lambda one: one[0][0])[len(at) // 2]  # a typical one, in the grid's order
+    columns, reach = candidates.columns[rows], trials.reach[rows]
     gram = columns @ columns.T
     information = gram - reach @ reach.T
     left = np.maximum(np.diag(information), 0.0) / np.maximum(np.diag(gram), 1e-300)
@@ -77,7 +112,7 @@ def _row(
     confused: dict[str, float] = {}
     if np.isfinite(smallest):
         signatures = max(smallest, term.matters) * values[:_TRIALS] @ columns
-        confused = _confused(term.name, candidates, beside, signatures, random)
+        confused = _confused(term.name, trials, signatures, random)
     shown = term.scale / float(np.median(deviations))
     words = f"from {smallest * shown:.2g} {term.unit} on" if np.isfinite(smallest) else "not found at any strength"
     if smallest > term.matters:
@@ -115,42 +150,23 @@ def _found_from(needed: Array, size: Array, count: int) -> float:
     return float(np.exp(brentq(short, middle - 20, middle + 20)))
 
 
-def _confused(
-    name: str, candidates: Candidates, beside: Beside, signatures: Array, random: np.random.Generator
-) -> dict[str, float]:
+def _confused(name: str, trials: _Trials, signatures: Array, random: np.random.Generator) -> dict[str, float]:
     """Return the other names that explain an effect nearly as well as the best, with their share of the trials.
 
     Only names above `RULES.confused` are returned, the most frequent first.
 
     Args:
         name: of the effect.
-        candidates: the effects.
-        beside: the model without effects.
+        trials: the effects.
         signatures: (trials, 3n) of the effect, whitened.
         random: source of the noise.
     """
-    nats = _weighed(candidates, beside, signatures + random.standard_normal(signatures.shape))
+    nats = trials.weighed(signatures + random.standard_normal(signatures.shape))
     best = np.max(list(nats.values()), axis=0)
     seen = best > ENOUGH
     as_good = {other: int((seen & (each > best - _AS_GOOD)).sum()) for other, each in nats.items()}
     often, count = Counter({other: times for other, times in as_good.items() if other != name}), int(seen.sum())
     return {other: times / count for other, times in often.most_common() if times > RULES.confused * count}
-
-
-def _weighed(candidates: Candidates, beside: Beside, innovations: Array) -> dict[str, Array]:
-    """Return {name: nats (trials,)} of innovations (trials, 3n)."""
-    seen = beside.see(candidates.columns, np.zeros(len(candidates.columns)))
-    own = beside.see(innovations, np.zeros(len(innovations))).reach
-    score = candidates.columns @ innovations.T - seen.reach @ own.T
-    result: dict[str, Array] = {}
-    for batch in candidates.batches:
-        value, vector = np.linalg.eigh(information_of(batch, beside.noise, seen.reach))
-        rotated = np.einsum("bki,bkt->bit", vector, score[batch.rows])
-        each = nats_by_scale(batch.names, np.maximum(value, 0.0), rotated)
-        for i, name in enumerate(batch.names):
-            own = np.logaddexp.reduce(each[i], axis=0) + batch.prior[i] - np.log(len(PRIOR.scales))
-            result[name] = np.logaddexp(result[name], own) if name in result else own
-    return result
 
 
 def _absent(term: EffectTerm, missing: tuple[str, ...]) -> Isolability:

@@ -39,7 +39,6 @@ class Rules:
     longest_colour: float = 4.0  # s, correlation time above which colour is a drift of unknown cause
     lowest_bins: int = 5  # of the periodogram, too slow for a tone: they are drifts
     moved: float = 2.0  # sigmas above which a parameter is reported as moved
-    much: float = 60.0  # statistic above which an effect is removed before the colour is estimated
     one_way: float = 0.75  # share of the colour along one axis above which it is not noise
     rare: float = 0.05  # share of wrong samples; a larger one is another distribution of the noise
     # share of the repeated entries that chance must not explain: axes that pause together are not held

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from magyc_gtsam.calibration.calibrated import calibrated, lag_of, without_lag
+from magyc_gtsam.calibration.calibrated import calibrated_on_time
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
 from magyc_gtsam.gap.result import Gap
@@ -52,7 +52,7 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
     series, middle = [], recording.time - origin(recording)
     for label, colour, calibration in values:
         try:
-            corrected = without_lag(calibrated(calibration, recording), lag_of(calibration))
+            corrected = calibrated_on_time(calibration, recording)
         except (
             MagycError
         ):  # the calibration has a term that needs a channel which this recording lacks, so there is no curve

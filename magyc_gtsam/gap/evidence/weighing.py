@@ -20,7 +20,7 @@ from magyc_gtsam.gap.evidence.beside import LEAST, Beside, Seen
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
 
-_LEAST = 1e-9  # of the squared columns: what is left of them beside a model is rounding if it is smaller
+_ROUNDING = 1e-9  # of the squared columns: what is left of them beside a model is rounding if it is smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ class _Shared(NamedTuple):
         """Return the power (B,) of the part of the signal that each candidate could explain."""
         own, across = self.reach[batch.rows], self.across[batch.rows]
         gram = batch.gram / noise**2
-        rounding = _LEAST * np.trace(gram, axis1=1, axis2=2) + np.finfo(float).tiny
+        rounding = _ROUNDING * np.trace(gram, axis1=1, axis2=2) + np.finfo(float).tiny
         information = gram - own @ own.swapaxes(1, 2) + rounding[:, None, None] * np.eye(own.shape[1])
         result: Array = (across * np.linalg.solve(information, across[..., None])[..., 0]).sum(axis=1)
         return result

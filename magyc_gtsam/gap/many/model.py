@@ -29,6 +29,7 @@ class ManyModel:
         plain: probability from which an effect without a name is attributed to a log.
         mostly: share of the logs in which a value must be possible.
         least: number of logs needed for a comparison.
+        much: statistic from which the best effect of a log is left out of the estimate of its autocorrelation.
         settled: nats for and against effects that are detected with certainty: exchanged axes, held values, coarse
             steps.
     """
@@ -47,6 +48,7 @@ class ManyModel:
     plain: float = 0.9
     mostly: float = 0.5
     least: int = 2
+    much: float = 60.0
     settled: float = 20.0
 
 

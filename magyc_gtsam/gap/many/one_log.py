@@ -24,7 +24,6 @@ from magyc_gtsam.gap.model.problem import Active, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.gap.preparation.discrete import settled
-from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
@@ -132,7 +131,7 @@ class OneLog:
         """Return {name: its tests}; autocorrelation, without what the best named effect explains, widens variances."""
         twin, beside = self.refitted.twin, Beside.of_model(self.refitted.twin)
         seen = beside.see(candidates.columns, candidates.score_bias)
-        best, most, made = beside, RULES.much, []
+        best, most, made = beside, MODEL.much, []
         for batch in candidates.batches:
             information = information_of(batch, beside.noise, seen.reach)
             for i, name in enumerate(batch.names):
