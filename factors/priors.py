@@ -1,4 +1,12 @@
-"""Native priors on a known calibration, the world's field, the mounting and the delay."""
+"""Priors of a graph: on a calibration, the world's field, the mounting and the delay, and random walks between nodes.
+
+The variance of changes such as those of an ageing battery, a moved payload or a warming sensor grows with time; it is
+stated as a standard deviation after one hour (per √hour). Priors and walks are GTSAM's own factors, so that no Python
+runs inside the optimiser, except those that keep an inverse soft iron, l = vech(C), away from C = 0.
+
+Several nodes also keep iSAM2 fast where the calibration is constant: iSAM2 visits every factor of every variable that
+an update affects, so that one pair of keys under n factors costs n per update (docs/slam.md).
+"""
 
 from __future__ import annotations
 
@@ -6,12 +14,13 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech, vech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import measured
+from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
 from magyc_gtsam.factors.numbers import is_finite, is_positive
 from magyc_gtsam.factors.pose import MICROTESLA, check_unit
 from magyc_gtsam.factors.units import check_field, check_readings
+from magyc_gtsam.factors.variables import Array, vector
 
 _HELD_MOUNTING = 1e-5  # rad
 _HELD_DELAY = 1e-6  # s
@@ -118,3 +127,98 @@ def calibration_prior(
     noise = gtsam.noiseModel.Unit.Create(9)
     linear = gtsam.JacobianFactor(soft_iron_key, root[:, :6], hard_iron_key, root[:, 6:], np.zeros(9), noise)
     return gtsam.LinearContainerFactor(linear, point)
+
+
+def norm_error(l: Array, want_jacobians: bool = False) -> Residual:  # noqa: E741
+    """Return ‖l‖ − 1 (1,) and its Jacobian lᵀ/‖l‖ (1, 6), eqs. (9) and (10) of the MAGYC paper."""
+    norm = float(np.sqrt(l @ l))
+    if norm == 0:
+        raise MagycError("norm prior: it has no derivative at l = 0; start from another soft iron")
+    return np.array([norm - 1.0]), [l[None, :] / norm] if want_jacobians else []
+
+
+def determinant_error(l: Array, want_jacobians: bool = False) -> Residual:  # noqa: E741
+    """Return det C − 1 (1,) and its Jacobian (1, 6): the cofactors, those off the diagonal doubled."""
+    c = unvech(l)
+    cofactors = np.cross(c[[1, 2, 0]], c[[2, 0, 1]])
+    residual = np.array([c[0] @ cofactors[0] - 1.0])
+    return residual, [np.tensordot(SYMMETRIC_UNITS, cofactors)[None, :]] if want_jacobians else []
+
+
+def norm_prior(soft_iron_key: int, noise: Noise) -> gtsam.CustomFactor:
+    """Return the factor ‖l‖ = 1 on a 6-vector, eq. (9); without it C = 0, d = 0 solves residual (7)."""
+    return custom_factor("norm prior", noise, [soft_iron_key], [vector(6)], 1, norm_error)
+
+
+def determinant_prior(soft_iron_key: int, noise: Noise) -> gtsam.CustomFactor:
+    """Return the factor det C = 1 on a 6-vector, the scale fixed by the authors' later package."""
+    return custom_factor("determinant prior", noise, [soft_iron_key], [vector(6)], 1, determinant_error)
+
+
+_HOUR = 3600.0
+
+
+def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorVector:
+    """Return a random walk between two soft irons (6-vectors).
+
+    Args:
+        first_key, second_key: keys of the two nodes.
+        elapsed: s between the two nodes.
+        sigma: change per √hour of each entry, one or six; 1e-3 is a tenth of a percent in an hour.
+    """
+    return gtsam.BetweenFactorVector(
+        first_key, second_key, np.zeros(6), _grown((first_key, second_key), sigma, 6, elapsed)
+    )
+
+
+def hard_iron_walk(
+    first_key: int, second_key: int, elapsed: float, sigma: ArrayLike, *, field_unit: float = MICROTESLA
+) -> gtsam.BetweenFactorPoint3:
+    """Return a random walk between two hard irons (3-vectors or `Point3`, `field_unit`).
+
+    Args:
+        first_key, second_key: keys of the two nodes.
+        elapsed: s between the two nodes.
+        sigma: T per √hour, one or three.
+        field_unit: T per unit of the keys.
+    """
+    check_readings("hard iron walk", sigma)
+    return gtsam.BetweenFactorPoint3(
+        first_key,
+        second_key,
+        np.zeros(3),
+        _grown((first_key, second_key), np.asarray(sigma, dtype=float) / field_unit, 3, elapsed),
+    )
+
+
+def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorPoint3:
+    """Return a random walk between two gyroscope biases (3-vectors or `Point3`).
+
+    A graph whose bias is an `imuBias.ConstantBias` has its own walk (`CombinedImuFactor`,
+    `BetweenFactorConstantBias`) and needs no other.
+
+    Args:
+        first_key, second_key: keys of the two nodes.
+        elapsed: s between the two nodes.
+        sigma: rad/s per √hour, one or three.
+    """
+    return gtsam.BetweenFactorPoint3(
+        first_key, second_key, np.zeros(3), _grown((first_key, second_key), sigma, 3, elapsed)
+    )
+
+
+def _grown(keys: tuple[int, int], sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:
+    """Return the noise model of a walk of `sigma` per √hour after `elapsed` s."""
+    if keys[0] == keys[1]:
+        raise MagycError(
+            "random walk: it joins two nodes, and both keys are the same; give the key of the next node"
+        )
+    deviation: Array = np.broadcast_to(np.asarray(sigma, dtype=float), (size,)) * np.sqrt(
+        (elapsed if is_positive(elapsed) else 0.0) / _HOUR
+    )
+    if not (np.isfinite(deviation).all() and (deviation > 0).all()):
+        raise MagycError(
+            f"random walk of {np.asarray(sigma).tolist()} per √hour over {elapsed!r:.40} s; both must be finite "
+            "and above 0 (a calibration that does not change needs one node, or a walk too small to matter)"
+        )
+    return gtsam.noiseModel.Diagonal.Sigmas(deviation)

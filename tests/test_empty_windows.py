@@ -10,7 +10,7 @@ from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.fit import descend
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.factors.chain.empty_windows import joined
+from magyc_gtsam.factors.chain.field_windows import joined_between
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -76,7 +76,7 @@ def test_rotation_and_rate_of_empty_windows_are_those_of_the_whole_log(recording
     part = windows.part(first, len(windows))
     assert len(part.between) == len(between)
     assert part.between.link[0] == 0
-    again = joined([windows.part(0, first + 1).between, part.between], [first, len(part.linked)])
+    again = joined_between([windows.part(0, first + 1).between, part.between], [first, len(part.linked)])
     np.testing.assert_array_equal(again.link, between.link)
 
 

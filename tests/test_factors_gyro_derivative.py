@@ -6,7 +6,7 @@ import pytest
 
 from magyc_gtsam.factors import CompressedGyroDerivative, gyro_derivative_factor, unvech, vech
 from magyc_gtsam.factors.gyro_derivative import derivative_samples, gyro_derivative_error
-from magyc_gtsam.factors.soft_iron import determinant_error, norm_error
+from magyc_gtsam.factors.priors import determinant_error, norm_error
 
 KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
 RNG = np.random.default_rng(3)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
-from magyc_gtsam.estimators import outside
+from magyc_gtsam.estimators import method as outside
 from magyc_gtsam.storage.checksum import sha256
 from magyc_gtsam.study.leaderboard import fetching
 from magyc_gtsam.study.leaderboard.collections import COLLECTIONS, kind_of

@@ -7,8 +7,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.magyc.derivative_windows import GAUSS, derivative_windows, form_windows
-from magyc_gtsam.estimators.magyc.estimate_history import EstimateHistory
-from magyc_gtsam.estimators.magyc.graph import MagycGraph
+from magyc_gtsam.estimators.magyc.graph import EstimateHistory, MagycGraph
 from magyc_gtsam.estimators.magyc.options import IncrementalOptions
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.runners import Status

@@ -14,12 +14,11 @@ from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided, too_slow
-from magyc_gtsam.estimators.smoother.beside import ColumnProducts
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
 from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import descend
 from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.estimators.smoother.stacked import Stacked
 from magyc_gtsam.simulation import HARD_IRON
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import score

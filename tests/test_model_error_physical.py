@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from magyc_gtsam import calibrate, simulate
-from magyc_gtsam.estimators.model_error.averaging import averaged_of_each
+from magyc_gtsam.estimators.model_error.components import principal
+from magyc_gtsam.estimators.model_error.not_excluded import averaged_of_each
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL, _followed
-from magyc_gtsam.estimators.model_error.principal import principal
 from magyc_gtsam.estimators.model_error.samples import flickers
 from magyc_gtsam.study.efficiency import error, nees
 from magyc_gtsam.study.faults.catalogue import FAULTS

@@ -1,4 +1,9 @@
-"""Windows of magnetometer samples with the gyroscope's integrals over each: the data of a field chain."""
+"""Windows of magnetometer samples with the gyroscope's integrals over each: the data of a field chain.
+
+Windows without a sample hold the gyroscope's motion while the field is not measured. A link across a gap of many
+seconds is exact in attitude and bias. The effect of a gyroscope error on it, such as a scale error, is an integral over
+the rotation inside the gap, which the windows on either side do not contain.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +13,124 @@ from functools import cached_property
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.empty_windows import NOTHING, Between
-from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices
+from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
+from magyc_gtsam.factors.chain.median import median
+from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices, matrices
+
+_GAP = 3.0  # magnetometer steps; a magnetometer slower than the windows has no gaps
+
+
+@dataclass(frozen=True, eq=False)
+class EmptyWindows:
+    """The time intervals of k windows without a magnetometer sample, in ascending order.
+
+    Attributes:
+        stamps: (3, k) s on the magnetometer's clock: begin, middle and end of each.
+        link: (k,) index of the link that contains each window.
+    """
+
+    stamps: Array
+    link: np.ndarray
+
+    @classmethod
+    def of(cls, time: Array, passed: Array, numbers: np.ndarray, gap: np.ndarray) -> EmptyWindows:
+        """Return the empty windows inside links.
+
+        Args:
+            time, passed: (G,) s, the gyroscope's stamps, and the number of windows passed at each.
+            numbers: (n,) numbers of the windows that have samples, ascending where there is a gap.
+            gap: (n − 1,) bool, links across a gap of the magnetometer.
+        """
+        missing = np.where(gap, np.maximum(np.diff(numbers) - 1, 0), 0)
+        if not missing.any():
+            return NONE
+        link = np.flatnonzero(missing)
+        # At most one window per gyroscope step: windows may be shorter than the steps.
+        begin, end = numbers[link] + 1.0, numbers[link + 1].astype(float)
+        steps = np.searchsorted(passed, end) - np.searchsorted(passed, begin)
+        count = np.clip(missing[link], 1, np.maximum(steps, 1))
+        inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        width = np.repeat((end - begin) / count, count)
+        first = np.repeat(begin, count) + inside * width
+        edges = np.array([first, first + 0.5 * width, first + width])
+        return cls(np.interp(edges, passed, time), np.repeat(link, count))
+
+    def part(self, first: int, stop: int) -> EmptyWindows:
+        """Return the windows in the links `first` ≤ link < `stop`, numbered from `first` on."""
+        own = slice(*np.searchsorted(self.link, [first, stop]))
+        return EmptyWindows(self.stamps[:, own], self.link[own] - first)
+
+    def integrated(self, track: GyroscopeTrack, delay: float) -> Between:
+        """Return the motion in the windows, from a track that covers them."""
+        begin, middle, end = (matrices(track.rotation_at(each - delay)[0]) for each in self.stamps)
+        begin, middle, end = (each.reshape(3, 3, -1) for each in (begin, middle, end))
+        turn = np.einsum("jin,jkn->ikn", begin, end)
+        axis = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        sine, cosine = np.sqrt(np.square(axis).sum(axis=0)), 0.5 * (np.einsum("iin->n", turn) - 1)
+        angle = np.arctan2(sine, cosine) / np.maximum(sine, 1e-12)
+        angle[sine < 1e-9] = 1.0
+        rate = axis * angle / np.maximum(self.stamps[2] - self.stamps[0], 1e-9)
+        return Between(self.stamps[1], self.link, middle.swapaxes(0, 1).copy(), rate)
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """The motion in k empty windows.
+
+    Attributes:
+        time: (k,) s, middles.
+        link: (k,) ascending, index of the link that contains each window.
+        rotation: (3, 3, k) integrated world → sensor.
+        rate: (3, k) rad/s in the sensor's axes, mean, less the bias of the integration.
+    """
+
+    time: Array
+    link: np.ndarray
+    rotation: Array
+    rate: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def turned(self, turn: Array) -> Between:
+        """Return the motion in another world frame, into which `turn` (3, 3) rotates."""
+        return replace(self, rotation=np.einsum("ijn,kj->ikn", self.rotation, turn))
+
+    def part(self, first: int, stop: int) -> Between:
+        """Return the motion in the links `first` ≤ link < `stop`, numbered from `first` on."""
+        own = slice(*np.searchsorted(self.link, [first, stop]))
+        return Between(self.time[own], self.link[own] - first, self.rotation[:, :, own], self.rate[:, own])
+
+
+def joined_between(parts: list[Between], links: list[int]) -> Between:
+    """Concatenate motions; `links` are their numbers of links, by which the link indices continue."""
+    before = np.cumsum([0, *links[:-1]])
+    return Between(
+        np.concatenate([part.time for part in parts]),
+        np.concatenate([part.link + first for part, first in zip(parts, before, strict=True)]),
+        np.concatenate([part.rotation for part in parts], axis=-1),
+        np.concatenate([part.rate for part in parts], axis=-1),
+    )
+
+
+def gaps(time: Array, starts: np.ndarray, length: float) -> np.ndarray:
+    """Return (n − 1,) bool: links across which the magnetometer pauses.
+
+    A pause is longer than a window and longer than several times the median sample interval.
+
+    Args:
+        time: (M,) s, stamps of all magnetometer samples.
+        starts: (n,) index of each window's first sample.
+        length: s, longest window.
+    """
+    step = np.diff(time)
+    across = step[starts[1:] - 1]
+    result: np.ndarray = across > length
+    return result & (across > _GAP * median(step)) if result.any() else result
+
+
+NONE = EmptyWindows(np.empty((3, 0)), np.empty(0, dtype=np.int64))
+NOTHING = Between(np.empty(0), NONE.link, np.empty((3, 3, 0)), np.empty((3, 0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.empty_windows import NONE, NOTHING, Between, EmptyWindows, gaps, joined
-from magyc_gtsam.factors.chain.field_windows import FieldWindows
+from magyc_gtsam.factors.chain.field_windows import (
+    NONE,
+    NOTHING,
+    Between,
+    EmptyWindows,
+    FieldWindows,
+    gaps,
+    joined_between,
+)
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, cross, matrices
 from magyc_gtsam.factors.errors import MagycError
@@ -204,7 +211,7 @@ class Preintegration:
             linked=self.linked,
             bias=bias,
             delay=delay,
-            between=joined(between, links) if between else NOTHING,
+            between=joined_between(between, links) if between else NOTHING,
         )
 
     def with_rate(self, angular_rate: Array) -> Preintegration:

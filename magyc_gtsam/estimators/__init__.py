@@ -9,8 +9,7 @@ from typing import Any
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import check_field_strength, check_noise, doubt_strength
-from magyc_gtsam.estimators.method import Method
-from magyc_gtsam.estimators.outside import methods_from_outside
+from magyc_gtsam.estimators.method import Method, methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.factors.one_thread import one_thread

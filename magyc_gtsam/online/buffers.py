@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain import empty_windows
-from magyc_gtsam.factors.chain.field_windows import FieldWindows
+from magyc_gtsam.factors.chain.field_windows import FieldWindows, joined_between
 from magyc_gtsam.factors.chain.preintegration import Preintegration, windows_passed
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
@@ -291,5 +290,5 @@ def joined(parts: list[FieldWindows]) -> FieldWindows:
         **{name: links(name) for name in ("lever", "link_time", "linked")},
         bias=parts[0].bias,
         delay=parts[0].delay,
-        between=empty_windows.joined([part.between for part in parts], [len(part.linked) for part in parts]),
+        between=joined_between([part.between for part in parts], [len(part.linked) for part in parts]),
     )

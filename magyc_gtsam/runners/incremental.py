@@ -20,9 +20,8 @@ from magyc_gtsam.factors.guard import NonFiniteError
 from magyc_gtsam.factors.solver import predicted_decrease
 from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
 from magyc_gtsam.runners.batch import called, undetermined
-from magyc_gtsam.runners.convergence import Convergence, IncrementalResult
 from magyc_gtsam.runners.isam import Factorization, Method, isam_parameters
-from magyc_gtsam.runners.status import Status
+from magyc_gtsam.runners.status import Convergence, IncrementalResult, Status
 
 _REFRESH = 10  # variables per update between two reads of the whole estimate
 

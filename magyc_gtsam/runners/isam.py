@@ -8,8 +8,8 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.runners.status import Method
 
-Method = Literal["dogleg", "gauss-newton"]
 Factorization = Literal["cholesky", "qr"]
 
 _OPTIMIZERS = {"dogleg": gtsam.ISAM2DoglegParams, "gauss-newton": gtsam.ISAM2GaussNewtonParams}

@@ -13,16 +13,68 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.estimators.magyc.derivative_windows import LEAST_WINDOWS
-from magyc_gtsam.estimators.magyc.estimate_history import EstimateHistory
 from magyc_gtsam.estimators.magyc.options import IncrementalOptions
 from magyc_gtsam.estimators.magyc.state import KEYS, NAMES, MagycState, initial_values, scale_prior
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative, gyro_derivative_factor
 from magyc_gtsam.recording import Array
-from magyc_gtsam.runners.convergence import IncrementalResult
 from magyc_gtsam.runners.incremental import Incremental
-from magyc_gtsam.runners.status import Status
+from magyc_gtsam.runners.status import IncrementalResult, Status
+
+LAST_SHARE = 0.2
+_MOST = 1024  # running sums kept; exact up to that many estimates, then to a 500th of the series
+
+
+class EstimateHistory:
+    """The mean over the last fifth of a growing series, which the paper reports, in constant memory.
+
+    It holds running sums of the estimates (width,), thinned as their number grows.
+
+    Args:
+        width: number of elements of an estimate.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._counts = np.zeros(1)
+        self._sums = np.zeros((1, width))
+        self._count, self._sum, self._every = 0, np.zeros(width), 1
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, estimate: Array) -> None:
+        """Add the next estimate."""
+        self._count += 1
+        self._sum = self._sum + estimate
+        if self._count % self._every == 0:
+            self._counts = np.append(self._counts, self._count)
+            self._sums = np.vstack([self._sums, self._sum])
+        if len(self._counts) > _MOST:
+            self._every *= 2
+            kept = self._counts % self._every == 0
+            self._counts, self._sums = self._counts[kept], self._sums[kept]
+
+    def mean(self) -> Array:
+        """Return the mean (width,) over the last fifth, which includes at least the last estimate."""
+        since = self._count - max(int(LAST_SHARE * self._count), 1)
+        place = int(np.searchsorted(self._counts, since, side="right")) - 1
+        result: Array = (self._sum - self._sums[place]) / (self._count - self._counts[place])
+        return result
+
+    def state(self) -> Mapping[str, Array]:
+        """Return the state for `restore`."""
+        return {
+            "counts": self._counts,
+            "sums": self._sums,
+            "last": np.array([self._count, self._every, *self._sum]),
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        self._counts, self._sums = state["counts"], state["sums"]
+        self._count, self._every, self._sum = int(state["last"][0]), int(state["last"][1]), state["last"][2:]
+
 
 _RENEWED = 64  # windows after which iSAM2 restarts at its estimate, which bounds the windows in its state
 _PARTS = [3, 6]  # where to split a window (9,) into field, derivative and rate

@@ -17,7 +17,7 @@ from magyc_gtsam.estimators.magyc.derivative_windows import GAUSS
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech, vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative
-from magyc_gtsam.factors.soft_iron import determinant_prior, norm_prior
+from magyc_gtsam.factors.priors import determinant_prior, norm_prior
 from magyc_gtsam.observability import assess
 from magyc_gtsam.recording import Array, Recording
 

@@ -15,13 +15,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from magyc_gtsam.estimators.model_error.alternating import alternating
-from magyc_gtsam.estimators.model_error.component import Component, tested
+from magyc_gtsam.estimators.model_error.component import Component, shown_by, tested
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
 from magyc_gtsam.estimators.model_error.physical import COARSE, PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided
-from magyc_gtsam.estimators.model_error.significant import shown_by
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array

@@ -11,7 +11,7 @@ from scipy.linalg.lapack import dpttrf, dpttrs
 from magyc_gtsam.estimators.smoother.columns import Products, RateErrors, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
-from magyc_gtsam.factors.chain.empty_windows import NOTHING, Between
+from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, chain, cross, exponential, exponential_matrices, matrices
 from magyc_gtsam.factors.chain.vech import unvech

@@ -1,8 +1,11 @@
-"""Model averaging over sensor effects that the data neither show nor exclude (`averaging`).
+"""Bayesian model averaging over sensor effects that the data can neither show nor exclude.
 
-There is no threshold of evidence: on a motion that does not observe an effect, its prior odds and amplitudes determine
-the covariance. The size of a filter is bounded by the delay: a filter with delay τ has a second-order term of up to
-τ²/2.
+A family with prior odds π has amplitudes up to a largest one, each octave equally probable. With L(v) the likelihood
+ratio of `components` against v = 0, the posterior odds are π times the mean of L(v) over the octaves, and the second
+moment of the coefficients, E[β βᵀ], is averaged over v with weights L(v) (Hoeting and others, Bayesian model averaging,
+Statist. Sci. 1999). No threshold is needed: the probability of an effect is close to 0 if the data exclude it and close
+to 1 if they show it; on a motion that does not observe it, its prior odds and amplitudes determine the covariance. The
+size of a filter is bounded by the delay: a filter with delay τ has a second-order term of up to τ²/2.
 """
 
 from __future__ import annotations
@@ -11,14 +14,63 @@ from collections.abc import Iterator, Sequence
 from math import exp
 from typing import NamedTuple
 
-from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged_of_each
-from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, moves
-from magyc_gtsam.estimators.model_error.components import FixedColumns, likeliest
+import numpy as np
+
+from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, JointFit, moves
+from magyc_gtsam.estimators.model_error.components import (
+    FixedColumns,
+    PrincipalAxes,
+    likeliest,
+    principal,
+    stacked,
+)
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
-from magyc_gtsam.estimators.model_error.principal import principal
-from magyc_gtsam.estimators.model_error.significant import JointFit
-from magyc_gtsam.estimators.smoother.beside import ColumnProducts
-from magyc_gtsam.estimators.smoother.stacked import Stacked
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
+from magyc_gtsam.factors.chain.rotations import Array
+
+
+class Averaged(NamedTuple):
+    """The average of one family over its amplitudes.
+
+    Attributes:
+        evidence: log of the mean likelihood ratio against no effect.
+        second: (k, k) E[β βᵀ].
+        amplitude: root mean square amplitude.
+    """
+
+    evidence: float
+    second: Array
+    amplitude: float
+
+
+def averaged_of_each(
+    groups: Sequence[PrincipalAxes], square: float, freedom: float, most: Sequence[float], octaves: Sequence[int]
+) -> list[Averaged]:
+    """Average each group by itself, over its number of `octaves` from its `most` down; `square` is yᵀy."""
+    value, pull = stacked(groups)
+    halvings = np.arange(max(octaves, default=0))
+    variance = np.square(most)[:, None] * (freedom / square) * 0.25**halvings
+    spread = 1 + variance[:, :, None] * value[:, None]
+    left = np.maximum(square - variance * ((1 / spread) @ np.square(pull)[:, :, None])[..., 0], 1e-9 * square)
+    gain = -0.5 * (np.log(spread).sum(axis=2) + freedom * np.log(left / square))
+    gain[halvings >= np.array(octaves)[:, None]] = -np.inf
+    top = gain.max(axis=1)
+    share = np.exp(gain - top[:, None])
+    total = share.sum(axis=1)
+    evidence = top + np.log(total / octaves)
+    share /= total[:, None]
+    known = variance[:, :, None] / spread
+    level = left / freedom
+    amplitude = np.sqrt((share * variance * level).sum(axis=1))
+    scatter, mean = ((share * level)[:, None] @ known)[:, 0], known * pull[:, None]
+    result = []
+    for i, group in enumerate(groups):
+        vector, size = group.vector, len(group.value)
+        means = mean[i, :, :size] @ vector.T
+        second = (vector * scatter[i, :size]) @ vector.T + (means.T * share[i]) @ means
+        result.append(Averaged(float(evidence[i]), second, float(amplitude[i])))
+    return result
+
 
 _LOG_RATIO_BOUND = 50.0  # nats, bound of a log-likelihood ratio
 _LEAST_ODDS = 0.03  # upper bound of the posterior odds below which a family is skipped

@@ -3,7 +3,7 @@
 The general families of `families` have many columns, so that only large effects are significant. A single column is
 detected much earlier, and its amplitude is known a priori: the linearity of magnetometers is stated as 0.1 to 1 % of
 the full scale, the scale error of low-cost gyroscopes as 1 to 3 %, and filters of compasses take 0.01 to 0.5 s. Each
-of these families therefore has prior odds, and counts with its posterior probability (`averaging`).
+of these families therefore has prior odds, and counts with its posterior probability (`not_excluded`).
 """
 
 from __future__ import annotations

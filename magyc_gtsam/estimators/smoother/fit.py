@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
-from magyc_gtsam.estimators.smoother.minimum import Minimum
-from magyc_gtsam.estimators.smoother.skew_found import Skew
+from magyc_gtsam.estimators.smoother.skew_prior import Skew
+from magyc_gtsam.estimators.smoother.whitened_fit import Minimum
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array

@@ -1,14 +1,17 @@
-"""Detection of stretches of a recording with a different hard iron.
+"""Detection of stretches of a recording with another hard iron, or with another instrument.
 
 The robust fit rejects such stretches as disturbed, without a message if they are the smaller part. It does the same
-with disturbances by the surroundings. The two can be told apart: after a change of the instrument, the stretches fit
-with the same soft iron and field strength and another hard iron, which the rotation within them determines. Only hard
-iron, gyroscope bias and field strength are fitted there, so that the question costs little where the answer is no.
+with disturbances by the surroundings, which can be told apart. After a change of the hard iron, the stretches fit with
+the same soft iron and field strength and another hard iron, which the rotation within them determines. Only hard iron,
+gyroscope bias and field strength are fitted there, so that the question costs little where the answer is no. If a
+sensor was remounted, or part of the log is another instrument's, the stretches can be calibrated by themselves, and
+give another soft iron, hard iron or misalignment with certainty; no disturbance by the surroundings does.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +26,7 @@ from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.facts import field_strength
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.median import median
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.sensor_faults.cut_off import inside
@@ -41,7 +45,12 @@ class _Limits:
     rounds: int = 10  # most such steps; one to three were observed
     noise: float = 1.5  # largest noise in the stretch, as a multiple of that in the rest
     sigmas: float = 6.0  # least Mahalanobis distance of the change
-    smallest: float = 0.02  # least change, as a share of the field strength; one degree of heading
+    # Least change: of the hard iron over the field strength (a degree of heading), of a soft iron's element, in rad
+    smallest: float = 0.02
+    misaligned: float = float(np.radians(20.0))  # prior standard deviation of the misalignment after a remounting
+    distance: float = (
+        60.0  # least squared Mahalanobis distance of two instruments, 12 degrees of freedom: as 36 of 3
+    )
 
 
 _LIMITS = _Limits()
@@ -152,3 +161,54 @@ def _disturbed(time: Array, weight: Array, window: float) -> Array:
     first, last = low[np.append(0, breaks + 1)], low[np.append(breaks, len(low) - 1)]
     measured = np.cumsum(np.minimum(np.diff(time, prepend=time[0]), window))  # without gaps of the log
     return np.column_stack([time[first], time[last]])[measured[last] - measured[first] >= _LIMITS.shortest]
+
+
+def instrument_change(
+    recording: Recording,
+    stretches: Array,
+    whole: Calibration,
+    options: SmootherOptions,
+    calibrate: Callable[[Recording, SmootherOptions], Calibration],
+) -> str:
+    """Return that the disturbed stretches are of another instrument, in words; "" if they are not.
+
+    Args:
+        recording: the data.
+        stretches: (k, 2) s since the first row, those that the calibration rejects.
+        whole: the calibration, which is trusted.
+        options: of that calibration.
+        calibrate: calibrates a recording without this question.
+    """
+    rows = inside(stretches, recording.time - recording.time[0])
+    try:
+        part = calibrate(recording.rows(rows), replace(options, misalignment=_LIMITS.misaligned))
+    except MagycError:  # too short, or too little motion
+        return ""
+    if not part.trusted:
+        return ""
+    (here, known_here), (there, known_there) = _instrument(whole), _instrument(part)
+    away, known = there - here, known_here + known_there
+    if away @ np.linalg.solve(known, away) < _LIMITS.distance or np.abs(away).max() < _LIMITS.smallest:
+        return ""
+    first, last = stretches[0, 0], stretches[-1, 1]
+    shown, unit = recording.field_shown
+    moved = np.linalg.norm(part.hard_iron - whole.hard_iron) * shown
+    return (
+        f"the instrument is another one between {first:.0f} and {last:.0f} s (its hard iron by {moved:.2g} {unit}): a "
+        "sensor that was remounted, or a log of another one? Choose an interval (start=, end=)"
+    )
+
+
+def _instrument(calibration: Calibration) -> tuple[Array, Array]:
+    """Return soft iron, hard iron over the field and misalignment (12,), and their covariance (12, 12)."""
+    covariance, strength = calibration.covariance, calibration.field_strength
+    assert covariance is not None
+    assert strength is not None
+    unit = np.r_[np.ones(6), np.full(3, 1 / strength)]
+    skew = calibration.diagnostics.get("skew")
+    known = np.zeros((12, 12))
+    known[:9, :9] = covariance[:9, :9] * unit * unit[:, None]
+    known[9:, 9:] = np.eye(3) if skew is None else skew["covariance"]
+    turn = next((term.value for term in calibration.terms if term.name == "misalignment"), np.zeros(3))
+    value = np.concatenate([vech(calibration.soft_iron), calibration.hard_iron * unit[6:], turn])
+    return value, known + 1e-12 * np.eye(12)

@@ -11,7 +11,7 @@ from magyc_gtsam.estimators.model_error.samples import flickers, in_bursts, too_
 from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
 from magyc_gtsam.estimators.smoother.gyroscope_scale import GyroscopeScale
 from magyc_gtsam.estimators.smoother.preparation import Streams
-from magyc_gtsam.estimators.smoother.skew_found import Skew
+from magyc_gtsam.estimators.smoother.skew_prior import Skew
 from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.level_turn import MisalignmentError

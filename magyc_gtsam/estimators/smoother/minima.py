@@ -1,12 +1,18 @@
-"""Comparison of minima of a field chain: the lowest, distinct ones and identical ones."""
+"""The minima of a field chain: the lowest, distinct and identical ones, and a start from a part of the recording."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit
-from magyc_gtsam.estimators.smoother.noise_levels import misfit
+from magyc_gtsam.estimators.smoother import starts
+from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.noise_levels import misfit, weigh
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.errors import MagycError
 
 _CLOSE = 1.1  # ratio of misfits up to which two minima count as close
 _EQUAL = 1.01  # ratio of misfits up to which minima count as equal
@@ -58,3 +64,31 @@ def apart(fit: Fit, other: Fit) -> bool:
     """Return whether the hard irons of two minima differ."""
     distance = np.linalg.norm(fit.state.parameters[6:9] - other.state.parameters[6:9])
     return bool(distance > _APART * strength(other))
+
+
+_PARTS = 4
+_ROUNDS = 3  # updates of the weights
+
+
+def by_a_part(fit: Fit, noise: SensorNoise, most: float) -> Fit | None:
+    """Return all windows, weighted at the calibration of the part that explains them best; None if none is better.
+
+    Args:
+        fit: of the whole recording, with thirteen parameters.
+        noise: at which misfits are compared.
+        most: upper bound of the misfit; the hard iron must also differ from that of `fit`.
+    """
+    chain, found = replace(fit.chain, noise=noise), None
+    for first, stop in pairwise(np.linspace(0, len(chain.windows), _PARTS + 1).astype(int).tolist()):
+        part = chain.part(first, stop)
+        try:
+            own = descend(begin(part, starts.from_gyroscope(part.windows), fit.free, BRIEF), NEAR)
+        except MagycError:  # too little motion
+            continue
+        if not apart(own, fit):
+            continue
+        whole = weigh(chain, own.state.parameters, _ROUNDS)
+        left = misfit(whole, noise)
+        if left < most:
+            most, found = left, replace(whole, free=fit.free, patience=BRIEF)
+    return found

@@ -15,10 +15,9 @@ from magyc_gtsam.estimators.smoother.dip import dip_fact
 from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, PATIENCE, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.heading import heading_fact
 from magyc_gtsam.estimators.smoother.known import PriorKnowledge, known_of
-from magyc_gtsam.estimators.smoother.minima import apart, close, lowest, positive, same, strength
+from magyc_gtsam.estimators.smoother.minima import apart, by_a_part, close, lowest, positive, same, strength
 from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit, weigh
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.estimators.smoother.parts import by_a_part
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.skew import on_skew, skew_from_score, skew_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC, SkewPrior, given

@@ -23,8 +23,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.estimators.smoother.skew_found import Skew
-from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
+from magyc_gtsam.estimators.smoother.skew_prior import Skew, SkewPrior
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
 from magyc_gtsam.factors.chain.rotations import Array, cross

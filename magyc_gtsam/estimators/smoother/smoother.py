@@ -23,8 +23,7 @@ from magyc_gtsam.estimators.model_error.verdict import variation
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.gyroscope_scale import scale_of, with_scale
-from magyc_gtsam.estimators.smoother.instrument_change import instrument_change
-from magyc_gtsam.estimators.smoother.iron_change import disturbed_stretches, hard_iron_change
+from magyc_gtsam.estimators.smoother.iron_change import disturbed_stretches, hard_iron_change, instrument_change
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import (
     contradictions,
