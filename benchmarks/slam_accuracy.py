@@ -1,4 +1,4 @@
-"""What calibration inside a SLAM graph gains (docs/slam.md).
+"""What calibration inside a SLAM graph gains (docs/slam_measured.md).
 
     python benchmarks/slam_accuracy.py            # Monte-Carlo: against `smoother`, NEES, iSAM2 against batch, heading
 

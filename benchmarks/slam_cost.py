@@ -1,4 +1,4 @@
-"""What calibration inside a SLAM graph costs (docs/slam.md).
+"""What calibration inside a SLAM graph costs (docs/slam_measured.md).
 
     python benchmarks/slam_cost.py                # a graph of 10,000 poses in iSAM2, with and without
 
