@@ -53,6 +53,20 @@ def test_it_is_kept_with_the_state(earlier: mg.Calibration, tmp_path: Path) -> N
     assert mg.Calibration.from_dict(again.options["prior"]).to_dict() == earlier.to_dict()
 
 
+@pytest.mark.parametrize(("moved", "factor"), [(0.0, 1.0), (3e-6, 1.0), (0.0, 1.1)])
+def test_what_contradicts_it_is_said_as_in_the_batch(moved: float, factor: float) -> None:
+    """On a ship a strength that is wrong by 10 % moves the hard iron by 6 µT, a wrong hard iron stays as it is."""
+    strength = mg.simulate("wide", duration=10).truth.field_strength
+    scaled = mg.calibrate(mg.simulate("wide", seed=998).recording, field_strength=strength)
+    recording = mg.simulate("ship", seed=9, hard_iron=scaled.hard_iron + np.array([0, moved, 0])).recording
+    options = {"prior": scaled, "field": (factor * strength, None), "misalignment": 0.0}
+    options |= {} if moved else {"hard_iron_walk": 50e-6}
+    online, batch = fed(recording, **options).calibration, mg.calibrate(recording, **options)
+    assert online.trusted == batch.trusted == (not moved and factor == 1.0), online.message
+    said = ["the data contradict the earlier"] * bool(moved) + ["µT at the place"] * (factor != 1.0)
+    assert all(words in each.message for words in said for each in (online, batch))
+
+
 def test_after_a_step_it_holds_no_more(earlier: mg.Calibration) -> None:
     simulation = mg.simulate("wide", 320, seed=4)
     recording, step = simulation.recording, np.array([8e-6, -6e-6, 5e-6])

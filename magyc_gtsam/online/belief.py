@@ -60,6 +60,7 @@ class Belief:
         waiting: whether a refit waits for its decision, because the step would be large.
         problem: why there is no estimate; "" if there is one.
         doubt: why the last refit rejected a misalignment that the data suggest.
+        contradictions: of the earlier calibration by the data, at the last refit.
         unexplained: model error at the last refit; None before, and if parameters walk.
         changes: the steps found; their `after` is not set.
         drift: drift of the clocks until the last refit.
@@ -85,6 +86,7 @@ class Belief:
     waiting: bool = False
     problem: str = ""
     doubt: str = ""
+    contradictions: list[str] = field(default_factory=list)
     unexplained: ModelError | None = None
     changes: list[Change] = field(default_factory=list)
     drift: Drift | None = None
@@ -94,8 +96,8 @@ class Belief:
         """Return everything as arrays for `from_arrays`."""
         result: dict[str, Array] = {"counts": np.array([int(getattr(self, name)) for name in _COUNTS])}
         result["origin"] = self.origin
-        words = [self.problem, self.doubt, _calibration_to_json(self.report), _error_to_json(self.unexplained)]
-        result["words"] = np.array(json.dumps(words))
+        reports = _calibration_to_json(self.report), _error_to_json(self.unexplained)
+        result["words"] = np.array(json.dumps([self.problem, self.doubt, self.contradictions, *reports]))
         for name, marginal in (("past", self.past), ("head", self.head), ("front", self.front)):
             if marginal is not None:
                 result |= {f"{name}/{k}": v for k, v in marginal._asdict().items()}
@@ -117,11 +119,12 @@ class Belief:
     def from_arrays(cls, state: Mapping[str, Array]) -> Belief:
         """Return the belief that `to_arrays` described, bit for bit."""
         counts = dict(zip(_COUNTS, (int(v) for v in state["counts"]), strict=True))
-        problem, doubt, report, unexplained = json.loads(str(state["words"]))
+        problem, doubt, contradictions, report, unexplained = json.loads(str(state["words"]))
         result = cls(
             **counts | {name: bool(counts[name]) for name in _FLAGS},  # type: ignore[arg-type]
             problem=problem,
             doubt=doubt,
+            contradictions=contradictions,
             report=_calibration_from_json(report),
             unexplained=_error_from_json(unexplained),
             origin=state["origin"],

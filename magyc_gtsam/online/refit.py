@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import with_angles
+from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
 from magyc_gtsam.factors.chain.chain_values import DELAY, SKEW
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
@@ -138,6 +139,8 @@ def _report(
     belief = online.belief
     estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
     belief.doubt = "" if fit.skew is None else fit.skew.doubt
+    if belief.past is None:
+        belief.contradictions = prior_contradictions(recording, online.fit_options)
     if online.settings.walks:  # the residuals' correlation includes that of the walk
         estimate = estimate._replace(colour=1.0)
     else:
@@ -148,7 +151,7 @@ def _report(
             or _hard_iron(unexplained) > _hard_iron(belief.unexplained)
         ):
             belief.unexplained = unexplained  # the larger one, since marginalised windows keep that of the past
-    belief.report = report = online.result(recording, fit, rival, refitted=estimate)
+    belief.report = report = online.result(recording, fit, rival, refitted=estimate, doubts=belief.contradictions)
     if testable(online, count):
         belief.drift = drift_of(online, recording, fit, report.converged)
         belief.report = report = with_drift(report, belief.drift)

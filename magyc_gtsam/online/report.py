@@ -11,6 +11,7 @@ from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise, suitable_turn
 from magyc_gtsam.estimators.smoother.search import disturbed, moved, with_skew
+from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
@@ -57,17 +58,19 @@ def _of_samples_so_far(online: SmootherState, integrated: IntegratedWindows) -> 
             online.settings.turn is not None
             or suitable_turn(online.buffer.magnetometer.value) == online.buffer.turn
         )
+        doubts = prior_contradictions(online.recording(None), online.fit_options) if online.prior_applies else []
         fit = _refit_all(online, integrated.of(online.buffer, belief.origin)) if well_cut else None
-        if fit is not None:
-            return _with_clocks(online, online.result(ending, fit, change=_recent_change(online, fit)), fit)
-        recording = online.recording(None)
-        fit, rival, _ = fit_samples(online, recording, False)
+        recording, rival = ending, None
+        if fit is None:
+            recording = online.recording(None)
+            fit, rival, _ = fit_samples(online, recording, False)
         change = _recent_change(online, fit)
-        return _with_clocks(online, online.result(recording, fit, rival, change=change), fit)
+        return _with_clocks(online, online.result(recording, fit, rival, change=change, doubts=doubts), fit)
     stop = int(online.buffer.numbers[-1]) + 1
     fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
     change = _recent_change(online, fit)
-    return with_drift(online.result(ending, fit, None, belief.tail, online.last, change), belief.drift)
+    calibration = online.result(ending, fit, None, belief.tail, online.last, change, belief.contradictions)
+    return with_drift(calibration, belief.drift)
 
 
 def _recent_change(online: SmootherState, fit: Fit) -> Component | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -195,7 +196,7 @@ class SmootherState:
         belief.estimate = belief.refitted = belief.report = belief.drift = belief.unexplained = None
         belief.next_refit = belief.next_search = FIRST
         belief.stable = belief.settled = belief.undecided = belief.waiting = False
-        belief.doubt = ""
+        belief.doubt, belief.contradictions = "", []
 
     def result(
         self,
@@ -205,6 +206,7 @@ class SmootherState:
         first: int = 0,
         refitted: Estimate | None = None,
         change: Component | None = None,
+        doubts: Sequence[str] = (),
     ) -> Calibration:
         """Return the calibration of a fit.
 
@@ -214,6 +216,7 @@ class SmootherState:
             first: number of its first window.
             refitted: the last refit, whose noise levels hold if the fit is that of a tail.
             change: error by a change of the iron that the newest windows do not exclude.
+            doubts: reasons for distrust known before.
         """
         colour = None if refitted is None else refitted.colour
         unexplained = None if refitted is None else self.belief.unexplained
@@ -223,11 +226,13 @@ class SmootherState:
             fit = replace(self.with_misalignment(fit), noise_freedom=refitted.noise_freedom)
         if change is not None:
             unexplained = (model_error(fit, self.buffer) if unexplained is None else unexplained).beside(change)
+        options = self.settings.without_prior if self.belief.changes else self.settings
         result = calibration_of(
-            recording, fit, rival, self.settings, colour, unexplained=unexplained, samples=self.buffer
+            recording, fit, rival, options, colour, doubts, unexplained=unexplained, samples=self.buffer
         )
         windows = self.belief.given_up + int(np.searchsorted(self.numbers(), first)) + len(fit.chain.windows)
-        return replace(result, diagnostics={**result.diagnostics, "windows": windows})
+        configuration = dict(self.settings.configuration)
+        return replace(result, diagnostics={**result.diagnostics, "windows": windows}, configuration=configuration)
 
 
 def continued(fit: Fit) -> ContinuedChain:

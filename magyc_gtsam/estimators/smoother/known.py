@@ -11,7 +11,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.dip import dip_of, known_dip
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
-from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, PlaceField, SmootherOptions
+from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
 from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.estimators.smoother.vertical import MODEL
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW
@@ -165,32 +165,30 @@ def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
     return [f"the data contradict the earlier calibration: {named}; {remedy} ({' and '.join(walks)})"]
 
 
-def strength_fact(options: SmootherOptions) -> StrengthFact | None:
-    """Return the fact on the strength of the field, which only a prior of a known scale makes useful; else None."""
-    return next((fact for fact in known_of(options).facts if isinstance(fact, StrengthFact)), None)
-
-
-def strength_contradiction(without: Calibration, fact: StrengthFact, place: PlaceField) -> list[str]:
+def strength_contradiction(parameters: Array, covariance: Array, options: SmootherOptions) -> list[str]:
     """Return a sentence if the strength of the field contradicts the earlier calibration and the data, or nothing.
 
+    Without the fact its residual r at the posterior would be r / (1 − v), of variance 1 / (1 − v), where v is the
+    variance of the fact's quantity by the posterior over that by the fact.
+
     Args:
-        without: the calibration of the recording with the prior, but without the fact; its soft iron is scaled to the
-            strength at the place, as if that had no error.
-        fact: of the scale that the prior gives to the strength.
-        place: where the strength is known.
+        parameters, covariance: posterior of θ, (13,) and (13, 13), which contains the fact.
+        options: with the prior, which gives the strength its scale, and the place.
     """
-    assert without.covariance is not None
-    assert place.strength is not None
-    ratio, slope = field_strength(vech(without.soft_iron))
-    sigma = place.strength * math.sqrt(float(slope @ without.covariance[:6, :6] @ slope))
-    away = (place.strength * ratio - fact.mean) / math.hypot(sigma, fact.sigma)
-    if abs(away) < MODEL.contradicts:
+    fact = next((fact for fact in known_of(options).facts if isinstance(fact, StrengthFact)), None)
+    if fact is None:
         return []
-    shown, there = 1e6 * place.strength / fact.mean, 1e6 * place.strength
+    assert options.known_strength is not None
+    (residual,), (slope,) = fact.residual(parameters)
+    left = 1 - float(slope @ covariance @ slope)
+    if left <= 0 or abs(residual) < MODEL.contradicts * math.sqrt(left):
+        return []
+    there, sigma = 1e6 * options.known_strength, 1e6 * options.known_strength * fact.sigma / fact.mean
     return [
-        f"the field is {shown * place.strength * ratio:.1f} ± {shown * sigma:.2g} µT strong by the earlier "
-        f"calibration, {there:.1f} µT at the place ({abs(away):.1f} sigmas): omit the place, as the field indoors and "
-        "beside iron is not the world's, or allow for a change of the iron (field=, hard_iron_walk=)"
+        f"the field is {there + sigma * residual / left:.1f} ± {sigma * math.sqrt(1 / left - 1):.2g} µT strong by the "
+        f"earlier calibration, {there:.1f} µT at the place ({abs(residual) / math.sqrt(left):.1f} sigmas): omit the "
+        "place, as the field indoors and beside iron is not the world's, or allow for a change of the iron (field=, "
+        "hard_iron_walk=)"
     ]
 
 

@@ -30,7 +30,6 @@ from magyc_gtsam.estimators.smoother.known import (
     known_of,
     remedies,
     strength_contradiction,
-    strength_fact,
 )
 from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
@@ -67,7 +66,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     if options.clock_drift:
         recording = restamped(recording, options.clock_drift)
     fit, rival = fit_field_chain(recording, options, progress=report)
-    doubts = _contradictions(recording, options)
+    doubts = prior_contradictions(recording, options)
     calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
     stretches = disturbed_stretches(recording, fit, options)
     change = hard_iron_change(recording, fit, calibration, options)
@@ -102,22 +101,14 @@ def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
     return fit_field_chain(recording, options, start=fit.state.parameters)[0]
 
 
-def _contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
-    """Return where the data without it contradict the earlier calibration, or both the strength of the field."""
+def prior_contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
+    """Return where the data without it contradict the earlier calibration; the posterior would hide it as noise."""
     if options.prior is None:
         return []
-    found: list[str] = []
+    alone = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
     with suppress(MagycError):  # without the prior the data do not determine a calibration
-        alone = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
-        found += contradictions(_of(recording, alone), options)
-    fact, place = strength_fact(options), options.place
-    if fact is not None and place is not None:
-        with suppress(MagycError):  # likewise without the strength
-            dip = None if place.dip is None else (place.dip, place.dip_sigma)
-            fit, rival = fit_field_chain(recording, replace(options, field=dip and (None, dip)))
-            scaled = replace(options, field=None, field_strength=place.strength)
-            found += strength_contradiction(calibration_of(recording, fit, rival, scaled), fact, place)
-    return found
+        return contradictions(_of(recording, alone), options)
+    return []
 
 
 def posterior(fit: Fit, factor: float) -> Posterior:
@@ -177,6 +168,7 @@ def calibration_of(
     parameters, _, skew, scale = known
     unit, observability = judgement.strength, judgement.observability
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
+    reasons += strength_contradiction(known.parameters, known.covariance, options)
     reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
     if not observability.observable:
 
