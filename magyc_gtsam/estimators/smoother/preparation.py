@@ -30,7 +30,7 @@ def suitable_turn(field: Array) -> float:
     """Return the largest rotation inside a window, in rad, from the spread of the measured field (N, 3).
 
     Rotation inside a window loses information unless it is small relative to the field's spread over the whole log; at
-    these values it costs 1 to 6 % of the hard iron's sigma (docs/field_chain.md).
+    these values it costs 1 to 6 % of the hard iron's sigma (docs/field_chain_measured.md).
     """
     some = np.ascontiguousarray(field[:: max(len(field) // 500, 1)].T)
     some -= some.mean(axis=1)[:, None]
