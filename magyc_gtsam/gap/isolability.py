@@ -1,7 +1,8 @@
 """Effects that can be named with a motion, their smallest strength, and the effects they would be confused with.
 
-The strength is the length of an effect's vector of values. Values of random directions, with the noise of the sensors,
-are weighed like a recording's; an effect is confused with the names that often explain nearly as much, or more.
+The strength is of the value that the motion determines least, as in a result's `Hypothesis.power`. Values of that
+length and of random directions, with the noise of the sensors, are weighed like a recording's; an effect is confused
+with the names that often explain nearly as much, or more.
 """
 
 from __future__ import annotations
@@ -10,15 +11,14 @@ from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Candidates, what_matters
-from magyc_gtsam.gap.evidence.detectable import ENOUGH, found, needed_and_size
+from magyc_gtsam.gap.evidence.candidates import Candidates
+from magyc_gtsam.gap.evidence.detectable import ENOUGH, found_from
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale
 from magyc_gtsam.gap.model.base import base_model
@@ -28,7 +28,6 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
 from magyc_gtsam.recording import Recording
 
-_DIRECTIONS = 500  # of the values, over which the power is averaged
 _TRIALS = 60  # of naming an effect
 _AS_GOOD = 3.0  # nats: a twentieth of the probability
 
@@ -77,6 +76,15 @@ class _Trials(NamedTuple):
         every = (np.linalg.eigh(information_of(batch, beside.noise, reach)) for batch in candidates.batches)
         return cls(candidates, beside, reach, [(np.maximum(value, 0.0), vector) for value, vector in every])
 
+    def everywhere(self, name: str) -> list[tuple[float, Array]]:
+        """Return the log prior of each setting of an effect, and the information of its values there."""
+        return [
+            (float(batch.prior[i]), (vector[i] * value[i]) @ vector[i].T)
+            for batch, (value, vector) in zip(self.candidates.batches, self.spectra, strict=True)
+            for i, one in enumerate(batch.names)
+            if one == name
+        ]
+
     def weighed(self, innovations: Array) -> dict[str, Array]:
         """Return {name: nats (trials,)} of innovations (trials, 3n)."""
         seen = self.beside.see(innovations, np.zeros(len(innovations))).reach
@@ -91,63 +99,44 @@ class _Trials(NamedTuple):
 
 
 def _row(term: EffectTerm, trials: _Trials, twin: Twin, random: np.random.Generator) -> Isolability:
-    candidates = trials.candidates
-    at = [
-        (batch.rows[i], batch.settings[i], float(batch.prior[i]))
-        for batch in candidates.batches
+    places = [
+        (batch, i)
+        for batch in trials.candidates.batches
         for i, name in enumerate(batch.names)
         if name == term.name
     ]
-    rows, setting, cell = sorted(at, key=lambda one: one[0][0])[len(at) // 2]  # a typical one, in the grid's order
-    columns, reach = candidates.columns[rows], trials.reach[rows]
+    rows, setting = sorted(  # a typical one, in the grid's order
+        ((batch.rows[i], batch.settings[i]) for batch, i in places), key=lambda one: one[0][0]
+    )[len(places) // 2]
+    columns, reach = trials.candidates.columns[rows], trials.reach[rows]
     gram = columns @ columns.T
-    information = gram - reach @ reach.T
-    left = np.maximum(np.diag(information), 0.0) / np.maximum(np.diag(gram), 1e-300)
-    deviations = term.deviations(twin, setting)
-    values = random.standard_normal((_DIRECTIONS, len(rows)))
-    values /= np.linalg.norm(values, axis=1)[:, None]
-    values /= deviations * what_matters(twin, term.name, setting, len(rows))
-    needed, size = needed_and_size(term.name, information[None], np.array([cell]), values[None])
-    smallest = _found_from(needed[0], size[0], len(rows))
+    left = np.maximum(np.diag(gram - reach @ reach.T), 0.0) / np.maximum(np.diag(gram), 1e-300)
+    smallest = found_from(term.name, trials.everywhere(term.name), RULES.found_with)
     confused: dict[str, float] = {}
     if np.isfinite(smallest):
-        signatures = max(smallest, term.matters) * values[:_TRIALS] @ columns
-        confused = _confused(term.name, trials, signatures, random)
-    shown = term.scale / float(np.median(deviations))
-    words = f"from {smallest * shown:.2g} {term.unit} on" if np.isfinite(smallest) else "not found at any strength"
-    if smallest > term.matters:
-        words += f", where {term.matters * shown:.2g} would matter"
+        values = random.standard_normal((_TRIALS, len(rows)))
+        values /= np.linalg.norm(values, axis=1)[:, None]
+        confused = _confused(term.name, trials, max(smallest, 1.0) * values @ columns, random)
+    matters = term.matters * term.scale / float(np.median(term.deviations(twin, setting)))
+    words = (
+        f"from {smallest * matters:.2g} {term.unit} on" if np.isfinite(smallest) else "not found at any strength"
+    )
+    if smallest > 1:
+        words += f", where {matters:.2g} would matter"
     if confused:
         words += f", as {' or '.join((term.name, *confused))}, which this motion can hardly tell apart"
-    nameable = smallest <= term.matters and not confused
+    nameable = smallest <= 1 and not confused
     return Isolability(
         term.name,
         term.label,
-        smallest * shown,
+        smallest * matters,
         term.unit,
-        term.matters * shown,
+        matters,
         float(np.sqrt(left.mean())),
         nameable,
         confused,
         words if nameable else f"{words}; {term.motion}",
     )
-
-
-def _found_from(needed: Array, size: Array, count: int) -> float:
-    """Return the strength that is found with probability 0.9, in the mean over directions.
-
-    Args:
-        needed, size: (directions,) statistic from which it is found, and its size at strength 1.
-        count: number of values.
-    """
-    if float(np.mean(size > 0)) < RULES.found_with:
-        return float("inf")
-
-    def short(log: float) -> float:
-        return float(found(needed, np.exp(2 * log) * size, count).mean()) - RULES.found_with
-
-    middle = 0.5 * float(np.log(np.median(needed / np.maximum(size, 1e-300))))
-    return float(np.exp(brentq(short, middle - 20, middle + 20)))
 
 
 def _confused(name: str, trials: _Trials, signatures: Array, random: np.random.Generator) -> dict[str, float]:

@@ -249,10 +249,10 @@ class Isolability:
 
     Attributes:
         name, label: the effect.
-        smallest: the strength (norm of the values) that would be found with probability 0.9, in `unit`; infinite if the
-            effect needs a channel that is absent, or the motion determines none of its values.
+        smallest: the value that would be found with probability 0.9 if it were the least determined of the effect's, in
+            `unit`; infinite if the effect needs a channel that is absent, or the motion does not determine it.
         unit: unit of `smallest` and `matters`.
-        matters: the smallest strength that matters, in `unit`.
+        matters: the smallest value that matters, in `unit`.
         left: share of the effect's signature that the base parameters cannot absorb, 0 to 1.
         nameable: whether an effect of size `matters` would be found and distinguished from all rivals.
         confused_with: {name: share of the cases} of names given instead of its own, or beside it, in most cases at the

@@ -16,6 +16,7 @@ from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
+from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.model.twin import Twin
@@ -37,16 +38,33 @@ _SETTLED = 1e-3  # squared length of a step, in sigmas
 _OF_ONE_RECORDING = ("hard-iron-step", "hard-iron-drift", "local-anomaly", "tone")
 
 
-def agreement(recording: Recording, calibration: Calibration) -> Metrics:
-    """Return how well a calibration with its terms agrees with another recording of the same instrument.
+def agreement(recording: Recording, *calibrations: Calibration) -> tuple[Metrics, ...]:
+    """Return how well calibrations with their terms agree with another recording of the same instrument.
 
     All parameters are fixed except the gyroscope's bias, which changes between switch-ons. Terms that belong to a time
-    or place of the recording they were found in (a step, a passing object) are left out.
+    or place of the recording they were found in (a step, a passing object) are left out. All have the noise of the last
+    and the field variation that it leaves, so that they differ in what they predict.
 
     Raises:
-        MagycError: no gyroscope; no bias, noise or field strength in the calibration; or a term needs a channel that
-            the recording lacks.
+        MagycError: no gyroscope; no bias, noise or field strength in a calibration; or a term needs a channel that the
+            recording lacks.
     """
+    noise = calibrations[-1].noise  # a poorer model attributes its misfit to noise
+    found = [(each, _predicted(recording, replace(each, noise=noise))) for each in calibrations]
+    variation = field_variation(found[-1][1])
+    return tuple(
+        measure(
+            twin,
+            replace(calibration, gyro_bias=twin.model.parameters[_BIAS], converged=False),  # with any bias
+            fitted=_of_bias(twin),
+            variation=variation if variation.evident else None,
+        )
+        for calibration, twin in found
+    )
+
+
+def _predicted(recording: Recording, calibration: Calibration) -> Twin:
+    """Return the twin of a recording with the parameters and terms of a calibration."""
     needed = {"magnetic_field", "angular_rate"} - calibration.noise.keys()
     if calibration.gyro_bias is None or calibration.field_strength is None or needed:
         raise MagycError(
@@ -55,9 +73,7 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
         )
     recording = _prepared(recording, calibration)
     problem = Problem.of(recording, preintegrate(recording, RULES.window))
-    twin = _own_bias(problem, as_model(problem, calibration))
-    tried = replace(calibration, gyro_bias=twin.model.parameters[_BIAS], converged=False)  # with any bias
-    return measure(twin, tried, fitted=_of_bias(twin))
+    return _own_bias(problem, as_model(problem, calibration))
 
 
 def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, ...]:

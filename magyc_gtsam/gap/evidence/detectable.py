@@ -2,34 +2,80 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
+from scipy.optimize import brentq
 from scipy.stats import ncx2
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.beside import LEAST
 from magyc_gtsam.gap.evidence.candidates import modes
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.evidence.weighing import Weighed, scales_of
+from magyc_gtsam.gap.evidence.weighing import scales_of
 
 ENOUGH = -PRIOR.named  # nats
 
 
-def power_of(weighed: Weighed) -> float:
-    """Return the probability of finding the smallest value that matters, averaged over the settings.
+class Detectable(NamedTuple):
+    """Of the least determined parameter of an effect at B settings: what is needed to find it, and its size there.
+
+    Attributes:
+        share: (B,) prior probability of the setting.
+        needed: (B,) statistic from which it is found, χ² with `values` degrees of freedom.
+        size: (B,) mean of the statistic, without its degrees of freedom, at the smallest value that matters.
+        values: number of values of the effect at these settings.
+    """
+
+    share: Array
+    needed: Array
+    size: Array
+    values: int
+
+
+def power_of(name: str, everywhere: Sequence[tuple[float, Array]], strength: float = 1.0) -> float:
+    """Return the probability of finding the smallest value that matters, times `strength`, averaged over the settings.
 
     It is that of the least determined parameter at each setting. The setting that noise prefers says nothing: a jump is
     found in the middle of a recording, but not at its ends.
+
+    Args:
+        name: of the effect.
+        everywhere: see `Weighed`.
+        strength: multiple of the smallest value that matters.
     """
-    total = 0.0
-    for count in {len(information) for _, information in weighed.everywhere}:
-        same = [(cell, information) for cell, information in weighed.everywhere if len(information) == count]
+    return _power(detectable(name, everywhere), strength)
+
+
+def found_from(name: str, everywhere: Sequence[tuple[float, Array]], probability: float) -> float:
+    """Return the strength, as in `power_of`, that is found with a probability; infinite if none is."""
+    groups = detectable(name, everywhere)
+    if sum(float(each.share[each.size > 0].sum()) for each in groups) < probability:
+        return float("inf")
+    size, needed = (np.concatenate([getattr(each, what) for each in groups]) for what in ("size", "needed"))
+    middle = 0.5 * float(np.log(np.median(needed / np.maximum(size, 1e-300))))
+    log = brentq(lambda log: _power(groups, float(np.exp(log))) - probability, middle - 30, middle + 30)
+    return float(np.exp(log))
+
+
+def detectable(name: str, everywhere: Sequence[tuple[float, Array]]) -> list[Detectable]:
+    """Return the detectability of an effect, by the number of its values; see `power_of`."""
+    groups = []
+    for count in sorted({len(information) for _, information in everywhere}):
+        same = [(cell, information) for cell, information in everywhere if len(information) == count]
         cell, information = np.array([one for one, _ in same]), np.array([one for _, one in same])
         eigenvalue, vector = np.linalg.eigh(information)
         eigenvalue = np.maximum(eigenvalue, LEAST * eigenvalue[:, -1:] + np.finfo(float).tiny)
-        mode = modes(weighed.name, count)  # of a drift all matter from the same size on
+        mode = modes(name, count)  # of a drift all matter from the same size on
         least = np.argmax((vector**2 / eigenvalue[:, None]).sum(axis=2) / mode**2, axis=1)
-        needed, size = needed_and_size(weighed.name, information, cell, np.diag(mode)[least][:, None])
-        total += float(np.exp(cell) @ found(needed, size, count)[:, 0])
+        needed, size = needed_and_size(name, information, cell, np.diag(mode)[least][:, None])
+        groups.append(Detectable(np.exp(cell), needed[:, 0], size[:, 0], count))
+    return groups
+
+
+def _power(groups: Sequence[Detectable], strength: float) -> float:
+    total = sum(float(each.share @ found(each.needed, strength**2 * each.size, each.values)) for each in groups)
     return min(total, 1.0)  # the shares of the settings are rounded
 
 

@@ -24,6 +24,11 @@ def doubted(calibration: Calibration, doubt: Doubt) -> Calibration:
     return replace(calibration, converged=False, message=message)
 
 
+def remedy(doubt: Doubt, purpose: str) -> Manoeuvre:
+    """Return the next manoeuvre where a doubt is about the calibration itself."""
+    return Manoeuvre((), doubt.action, f"{purpose}: {doubt.action}")
+
+
 def left_open(
     effects: Sequence[Effect], uncorrected: Collection[int], missing: str, manoeuvre: Manoeuvre | None
 ) -> Doubt:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 
-def held_out(twin: Twin, innovation: Array, base: Array) -> float:
-    """Return the log-likelihood per window (nats) on blocks that were not fitted, of what has columns (q, 3n)."""
+def held_out(twin: Twin, innovation: Array, base: Array, variation: FieldVariation | None) -> float:
+    """Return the log-likelihood per window (nats) on blocks that were not fitted, of what has columns (q, 3n).
+
+    A variation of the field is whitened; its determinant, which all models share, is left out.
+    """
     block = interleaved(twin.time, RULES.block)
     flat = innovation.ravel()
+    if variation is not None:
+        flat, base = variation.whiten(flat[None])[0], variation.whiten(base)
     size = np.maximum(np.linalg.norm(base, axis=1), 1e-300)[:, None]
     square = 0.0
     for fold in (0, 1):

@@ -49,7 +49,7 @@ def _hypothesis(
     weighed: Weighed, result: Named, places: Mapping[str, str], named: set[str], rivals: set[str]
 ) -> Hypothesis:
     name, term, twin = weighed.name, TERMS.get(weighed.name), result.first.refit.twin
-    significant, power = weighed.log > ENOUGH, power_of(weighed) if term else np.nan
+    significant, power = weighed.log > ENOUGH, power_of(name, weighed.everywhere) if term else np.nan
     probability = result.probabilities.get(name, 0.0) if term else np.nan
     value, covariance = weighed.estimate
     scale, matters = np.ones(len(value)), np.nan

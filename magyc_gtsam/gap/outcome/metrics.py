@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.outcome.agreement import GapMap, Line, Metrics, OpenLoop
 from magyc_gtsam.gap.outcome.held_out import held_out
@@ -25,7 +26,11 @@ _FEW = 5  # windows below which a bin is left out
 
 
 def measure(
-    twin: Twin, calibration: Calibration, fine: Fine | None = None, fitted: Array | None = None
+    twin: Twin,
+    calibration: Calibration,
+    fine: Fine | None = None,
+    fitted: Array | None = None,
+    variation: FieldVariation | None = None,
 ) -> Metrics:
     """Compute all metrics of a model on its recording.
 
@@ -34,6 +39,7 @@ def measure(
         calibration: the same model as a calibration.
         fine: innovations of single samples, for lines above the frequencies of the motion; None leaves them out.
         fitted: columns (q, 3n) of what was fitted to this recording; None for all parameters and terms of the model.
+        variation: of the field, which the held-out likelihood takes into account; None for a constant field.
     """
     v = twin.residual()
     lines: tuple[Line, ...] = ()
@@ -42,7 +48,7 @@ def measure(
         if found.significant:
             lines = (Line(found.setting["frequency"], float(found.value[0]), found.evidence),)
     return Metrics(
-        held_out=held_out(twin, v, twin.base_columns if fitted is None else fitted),
+        held_out=held_out(twin, v, twin.base_columns if fitted is None else fitted, variation),
         open_loop=open_loop(twin),
         whiteness=whiteness(v),
         lines=lines,

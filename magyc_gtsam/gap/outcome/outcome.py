@@ -18,7 +18,7 @@ from magyc_gtsam.gap.naming.found import Found, as_found, term_places
 from magyc_gtsam.gap.naming.named import Named
 from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
 from magyc_gtsam.gap.outcome.described import describe, with_model_error
-from magyc_gtsam.gap.outcome.doubt import doubted, left_open, with_doubt
+from magyc_gtsam.gap.outcome.doubt import doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
@@ -26,7 +26,7 @@ from magyc_gtsam.gap.outcome.moved import against, contradiction, moved
 from magyc_gtsam.gap.outcome.verdict import among, manoeuvre, place_of, unseen, verdict
 from magyc_gtsam.gap.outcome.worth import pays
 from magyc_gtsam.gap.preparation.clocks import APART_IN_BRIEF, CLOCK_DRIFT
-from magyc_gtsam.gap.result import Doubt, Gap, Manoeuvre, Untested
+from magyc_gtsam.gap.result import Doubt, Gap, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
@@ -57,7 +57,7 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
         moved=(),
         calibration=fitted,
         base=fitted,
-        next_manoeuvre=Manoeuvre((), doubt.action, f"to learn anything: {doubt.action}"),
+        next_manoeuvre=remedy(doubt, "to learn anything"),
         doubt=doubt,
         diagnostics={"windows": base.twin.n, "seconds": seconds, "leftover": []},
     )
@@ -143,7 +143,9 @@ def gap_of(
         probabilities=result.probabilities,
     )
     if word in ("none", "closed"):
-        return gap if untrusted is None else replace(gap, doubt=untrusted)
+        if untrusted is None:
+            return gap
+        return replace(gap, doubt=untrusted, next_manoeuvre=remedy(untrusted, "to trust the calibration"))
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
     missing = place_of(result.leftover, base.twin) if result.leftover else ""
