@@ -57,7 +57,7 @@ class Log:
     @classmethod
     def of(cls, motion: str, seed: int) -> Log:
         simulation = skewed(motion, 0.0, seed)
-        fit, _ = fit_field_chain(simulation.recording, noise=NOISE, robust=False, misalignment=0)
+        fit = fit_field_chain(simulation.recording, noise=NOISE, robust=False, misalignment=0)
         profile = profile_of(widened(fit, AUTOMATIC), 1.0)
         truth, covariance = simulation.truth, fit.covariance[:9, :9]
         turn = turn_of(simulation.recording, truth)

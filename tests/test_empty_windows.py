@@ -32,14 +32,14 @@ def recording() -> Recording:
 
 
 def test_a_scale_moves_the_parameters_across_gaps_as_a_new_fit_does(recording) -> None:
-    fit = descend(fit_field_chain(with_gaps(recording))[0], settled=1e-10)
+    fit = descend(fit_field_chain(with_gaps(recording)), settled=1e-10)
     motion, beside, scale = WindowMotion.of(fit), ColumnProducts(fit), np.array([1e-3, 0.0, 0.0])
     assert len(motion.between) > 10
     sigma = np.sqrt(np.diag(fit.covariance))
     expected = beside.moves([beside.of(motion.along_links.gyroscope_scales())])[0] @ scale / sigma
     bias = fit.state.parameters[9:12]
     wrong = with_gaps(recording, bias + (recording.gyroscope.value - bias) * (1 + scale))
-    again = descend(fit_field_chain(wrong)[0], settled=1e-10)
+    again = descend(fit_field_chain(wrong), settled=1e-10)
     moved = (again.state.parameters - fit.state.parameters) / sigma
     assert np.abs(expected).max() > 0.3
     np.testing.assert_allclose(moved, expected, atol=0.06)  # without what happens in the gaps 0.12

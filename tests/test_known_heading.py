@@ -32,7 +32,7 @@ def test_its_slope_is_the_derivative_of_the_heading_of_the_chain():
     """On all parameters, skew included, the directions at their best for each."""
     simulation = simulate("low", 200, seed=3)
     recording, declination = with_heading(simulation)
-    fit, _ = fit_field_chain(recording, misalignment=DEGREE)
+    fit = fit_field_chain(recording, misalignment=DEGREE)
     (fact,) = heading_fact(recording, KnownHeading("course", DEGREE, declination))
     fit = replace(fit, chain=replace(fit.chain, facts=(*fit.chain.facts, fact)))
 

@@ -27,7 +27,7 @@ from magyc_gtsam.study.faults.signals import record
 
 @pytest.fixture(scope="module")
 def fit():
-    return fit_field_chain(simulate("wide", duration=240, seed=3).recording)[0]
+    return fit_field_chain(simulate("wide", duration=240, seed=3).recording)
 
 
 def within(calibration, truth) -> float:
@@ -96,7 +96,7 @@ def test_products_of_profiles_and_axes_are_as_any_columns(fit) -> None:
 
 def test_products_of_all_families_have_no_negative_direction(fit) -> None:
     """Of all columns together, on a motion that shows little of many of them."""
-    weak = fit_field_chain(simulate("tiny", duration=120, seed=5).recording)[0]
+    weak = fit_field_chain(simulate("tiny", duration=120, seed=5).recording)
     for each in (fit, weak):
         motion, beside = WindowMotion.of(each), ColumnProducts(each)
         new = [beside.of(family.columns(motion)) for family in FAMILIES]
@@ -114,7 +114,7 @@ def test_products_of_all_families_have_no_negative_direction(fit) -> None:
 def test_the_world_of_the_columns_does_not_turn() -> None:
     """The vertical in it stays within two degrees over ten minutes; the integration's own world turns by 20."""
     simulation = simulate("low", seed=1)
-    motion = WindowMotion.of(fit_field_chain(simulation.recording)[0])
+    motion = WindowMotion.of(fit_field_chain(simulation.recording))
     attitude = Rotation.from_quat(simulation.recording.attitude)
     rows = np.searchsorted(simulation.recording.time, motion.time)
     down = attitude[rows].inv().apply([0.0, 0.0, 1.0])
@@ -368,7 +368,7 @@ def test_the_message_and_the_numbers_say_what_is_noise_and_what_is_not() -> None
 
 
 def test_few_windows_say_nothing() -> None:
-    fit = fit_field_chain(simulate("wide", duration=18, seed=1).recording)[0]
+    fit = fit_field_chain(simulate("wide", duration=18, seed=1).recording)
     assert len(fit.chain.windows) < 30
     assert not model_error(fit).components
 
@@ -388,7 +388,7 @@ def test_a_gyroscope_filtered_by_half_a_second_is_covered(seed: int) -> None:
 @pytest.mark.parametrize(("motion", "seed"), [("moderate", 5049), ("tiny", 5019)])
 def test_mixtures_of_scales_that_are_noise_say_nothing(motion: str, seed: int) -> None:
     """Of clean logs: their score is biased by the gyroscope's noise, to 18 nats."""
-    fit = fit_field_chain(simulate(motion, seed=seed).recording)[0]
+    fit = fit_field_chain(simulate(motion, seed=seed).recording)
     family = next(family for family in PHYSICAL if family.name == "gyroscope:scales")
     beside, motions = ColumnProducts(fit), WindowMotion.of(fit)
     (found,) = component.tested(beside, motions, [family])

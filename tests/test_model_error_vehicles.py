@@ -117,7 +117,7 @@ def test_the_vertical_is_known_where_a_vehicle_rolls_faster_than_it_turns() -> N
     """The axis of most rotation is horizontal: a boom's 7 µT were trusted at 8 sigmas."""
     time, random = np.arange(0, DURATION, 0.02), np.random.default_rng(0)
     angles = [0.15 * time, *(swaying(time, random, 4.0, 0.1) for _ in "pr")]
-    fit = fit_field_chain(recording(random, time, *moved(time, *angles)))[0]
+    fit = fit_field_chain(recording(random, time, *moved(time, *angles)))
     motion = WindowMotion.of(fit)
     lean = np.stack([np.interp(motion.time, time, angle) for angle in angles], axis=1)
     down = Rotation.from_euler("ZYX", lean).inv().apply([0.0, 0.0, 1.0])

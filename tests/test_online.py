@@ -181,7 +181,7 @@ def test_windows_are_those_of_the_batch():
 
 def test_a_continued_chain_is_the_whole_chain():
     recording = simulate("wide", duration=200, seed=1).recording
-    fit, _ = fit_field_chain(recording, delay=0.0)
+    fit = fit_field_chain(recording, delay=0.0)
     fit = descend(fit, 1e-12)
     samples, middle = preintegrate(recording), len(fit.chain.windows) // 2
     past = ContinuedChain(fit.chain.windows, fit.chain.noise).marginalise(fit.state, fit.weights, middle)

@@ -122,7 +122,7 @@ def test_the_likelihood_ratio_is_the_gain_of_a_fit_with_the_step():
     """λ of the true step against the cost that a chain of two hard irons saves; a small step, so that all is linear."""
     simulation = simulate("wide", duration=120, seed=5)
     recording = with_step(simulation, 60, np.array([0.6e-6, -0.3e-6, 0.2e-6]))
-    fit, _ = fit_field_chain(recording, delay=0.0, robust=False)
+    fit = fit_field_chain(recording, delay=0.0, robust=False)
     chain = ContinuedChain(fit.chain.windows, fit.chain.noise)
     fit = descend(replace(fit, chain=chain, reduced=chain.eliminate(fit.state, fit.weights)), 1e-12)
     weights = chain.unweighted()
@@ -147,8 +147,8 @@ def test_a_step_is_timed_within_its_window(at):
     """Wherever in its window it happens, and the window leaves no trace in the fits of both sides."""
     simulation = simulate("wide", duration=120, seed=6)
     step = np.array([5e-6, -3e-6, 4e-6])
-    fit, _ = fit_field_chain(with_step(simulation, at, step), delay=0.0)
-    chain = ContinuedChain(fit.chain.windows, fit_field_chain(simulation.recording)[0].chain.noise)
+    fit = fit_field_chain(with_step(simulation, at, step), delay=0.0)
+    chain = ContinuedChain(fit.chain.windows, fit_field_chain(simulation.recording).chain.noise)
     found, *_ = find_step(replace(fit, chain=chain))
     assert found.time == pytest.approx(at, abs=0.3)
     assert abs(found.time - at) < 4 * found.time_sigma
@@ -161,8 +161,8 @@ def test_a_log_that_fits_from_a_step_on():
     simulation = simulate("wide", duration=200, seed=7)
     step = np.array([10e-6, -20e-6, 15e-6])
     recording = with_step(simulation, 60, step)
-    fit, _ = fit_field_chain(recording.between(100, None))
-    whole, _ = fit_field_chain(recording, start=fit.state.parameters)
+    fit = fit_field_chain(recording.between(100, None))
+    whole = fit_field_chain(recording, start=fit.state.parameters)
     chain = ContinuedChain(whole.chain.windows, fit.chain.noise)
     found = find_earlier_change(chain, fit.state.parameters)
     assert found.time == pytest.approx(60, abs=2)
@@ -170,11 +170,11 @@ def test_a_log_that_fits_from_a_step_on():
     assert (np.abs(found.step - step) < 5 * found.sigma).all()
     offset = Rotation.from_quat(simulation.recording.attitude).inv().apply([10e-6, -5e-6, 10e-6])
     placed = np.where(simulation.recording.time[:, None] < 60, offset, 0.0)
-    whole, _ = fit_field_chain(
+    whole = fit_field_chain(
         replace(simulation.recording, magnetic_field=simulation.recording.magnetic_field + placed)
     )
     chain = ContinuedChain(whole.chain.windows, fit.chain.noise)
-    clean, _ = fit_field_chain(simulation.recording)
+    clean = fit_field_chain(simulation.recording)
     assert not find_earlier_change(chain, clean.state.parameters).in_sensor
     assert (
         find_earlier_change(ContinuedChain(clean.chain.windows, clean.chain.noise), clean.state.parameters) is None

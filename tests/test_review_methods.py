@@ -132,9 +132,9 @@ def test_twosteps_centred_estimate_of_everything_is_useless():
 
 def test_twostep_with_a_known_noise_takes_it():
     data = draw(2)
-    known, estimated = twostep(data.y, 0.005), twostep(data.y)
+    known, estimated = twostep(data.y, noise=0.005), twostep(data.y)
     np.testing.assert_allclose(known.offset, estimated.offset, atol=1e-5)
-    double = twostep(data.y, 0.01)
+    double = twostep(data.y, noise=0.01)
     assert known.covariance is not None
     assert double.covariance is not None
     np.testing.assert_allclose(np.diag(double.covariance), 4 * np.diag(known.covariance), rtol=1e-2)

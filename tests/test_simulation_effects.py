@@ -192,7 +192,7 @@ def test_the_published_strength_can_be_seen(name):
     """The misfit that twelve parameters leave without noise, in sigmas: some ten at least, on the multi motion."""
     quiet = {"magnetometer_noise": 1e-9, "gyroscope_noise": 5e-6}
     recording = simulate("multi", 600, seed=1, effects=(name,), **quiet).recording
-    fit, _ = fit_field_chain(recording, noise=(1e-6, 5e-3), robust=False, delay=0.0, window=0.5)
+    fit = fit_field_chain(recording, noise=(1e-6, 5e-3), robust=False, delay=0.0, window=0.5)
     assert 8 < np.sqrt(2 * fit.reduced.cost) < 100
 
 

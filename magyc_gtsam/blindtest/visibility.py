@@ -45,7 +45,7 @@ def misfit(recording: Recording, noise: tuple[float, float]) -> float:
         noise: noise at which it is judged, T and rad/s per sample.
     """
     try:
-        fit, _ = fit_field_chain(recording, noise=noise, robust=False, delay=0.0, window=0.5)
+        fit = fit_field_chain(recording, noise=noise, robust=False, delay=0.0, window=0.5)
     except MagycError:
         return float("nan")
     return float(np.sqrt(max(2 * fit.reduced.cost, 0.0)))
@@ -86,12 +86,12 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
         return float(level)
     if name == "axis-order":
         return 1.0
-    base, _ = fit_field_chain(recording, robust=False, delay=calibration.delay)
+    base = fit_field_chain(recording, robust=False, delay=calibration.delay)
 
     def stands_out(factor: float) -> float:
         changed, _ = inject(recording, calibration, [(name, factor)], seed, CHANNELS)
         try:
-            fit, _ = fit_field_chain(changed, noise=base.chain.noise, robust=False, delay=calibration.delay)
+            fit = fit_field_chain(changed, noise=base.chain.noise, robust=False, delay=calibration.delay)
         except MagycError:
             return np.inf  # the effect is so large that nothing fits
         return float(np.sqrt(max(2 * (fit.reduced.cost - base.reduced.cost) / base.colour, 0.0)))

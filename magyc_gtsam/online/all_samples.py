@@ -15,25 +15,21 @@ from magyc_gtsam.recording import Array, Recording
 _NOISE_WINDOWS = 60  # fewest windows after a step for which noise levels are estimated
 
 
-def fit_batch(
-    recording: Recording, start: Array | None, options: SmootherOptions
-) -> tuple[Fit, Fit | None, Preintegration]:
-    """Return the fit, a close rival and the windows, from `start` (13,) or from several starts.
+def fit_batch(recording: Recording, start: Array | None, options: SmootherOptions) -> tuple[Fit, Preintegration]:
+    """Return the fit and the windows, from `start` (13,) or without a start.
 
     Raises:
         MagycError: the axes of the sensors disagree, or there are too few data.
     """
-    fit, rival = fit_field_chain(recording, options, start=start)
+    fit = fit_field_chain(recording, options, start=start)
     samples = preintegrate(recording, options.window, options.turn)
     if len(samples.starts) != len(fit.chain.windows):  # windows are shorter in disturbed stretches
         samples = preintegrate(recording, shortened(options.window), options.turn)
-    return fit, rival, samples
+    return fit, samples
 
 
-def fit_samples(
-    online: SmootherState, recording: Recording, search: bool
-) -> tuple[Fit, Fit | None, Preintegration]:
-    """Fit all samples kept, from several starts or from the estimate; return the fit, a rival and the windows."""
+def fit_samples(online: SmootherState, recording: Recording, search: bool) -> tuple[Fit, Preintegration]:
+    """Fit all samples kept, from the estimate or, for a search, without a start; return the fit and the windows."""
     belief, settings = online.belief, online.settings
     if belief.past is None:
         start = None if search or belief.estimate is None else belief.estimate.parameters
@@ -51,4 +47,4 @@ def fit_samples(
         return refit_field_chain(samples, fit, settings.reject, short_term)
 
     fit, (prior, known) = refitted(initial), online.skew
-    return fit if prior is None else with_skew(fit, refitted, prior, known), None, samples
+    return fit if prior is None else with_skew(fit, refitted, prior, known), samples

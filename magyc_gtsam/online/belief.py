@@ -49,7 +49,7 @@ class Belief:
         front: marginal of all windows up to number `front_at`, if parameters walk at random.
         tail, done: numbers of the tail's first window and of the first window not yet taken.
         given_up: number of windows in the past.
-        next_refit, next_search: numbers of windows at which all are fitted again, and from several starts.
+        next_refit, next_search: numbers of windows at which all are fitted again, and without the estimate as a start.
         estimate: the last estimate; None before the motion determines one.
         origin: (4,) bias and delay at which the gyroscope was integrated in the last refit.
         refitted: θ and its sigmas (2, p) at the last refit.

@@ -27,7 +27,7 @@ from magyc_gtsam.recording import Array, Recording, Samples
 _MOVED = 3.0  # ratio of the field's spread to its short-term noise below which the sensor has not turned
 SHORTEST_TAIL = 24  # windows
 REFIT_GROWTH = 1.25  # growth of the windows between two refits
-_SEARCH = 1.5  # growth of the windows between two searches from several starts
+_SEARCH = 1.5  # growth of the windows between two fits that do not begin at the estimate
 _STILL = 1.5  # sigmas of the preceding refit by which a parameter of a converged estimate may have moved
 _LEAST_STABLE = 80  # fewest windows for noise levels that are certain enough to look for steps and clock drift
 _MOST_LOOKED_BACK = 400  # largest number of windows that are searched for steps when the estimate has converged
@@ -58,8 +58,8 @@ def drift_of(online: SmootherState, recording: Recording, fit: Fit, trusted: boo
     """
 
     def fit_again(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
-        fit, rival = fit_field_chain(again, online.fit_options, start=start, brief=True)
-        return fit, lambda: online.result(again, fit, rival).converged
+        fit = fit_field_chain(again, online.fit_options, start=start, brief=True)
+        return fit, lambda: online.result(again, fit).converged
 
     known = online.belief.drift
     drift = find_drift(recording, fit, trusted, fit_again, 0.0 if known is None else known.rate)
@@ -87,10 +87,10 @@ def refit(online: SmootherState) -> None:
     if belief.problem:
         return
     try:
-        fit, rival, samples = fit_samples(online, recording, search)
+        fit, samples = fit_samples(online, recording, search)
         if belief.past is not None and soft_iron_changed(fit):
             belief.past = belief.past.forget(SOFT_IRON)
-            fit, rival, samples = fit_samples(online, recording, search)
+            fit, samples = fit_samples(online, recording, search)
     except (
         MagycError
     ) as problem:  # axes that disagree or too little motion: reported, and tried again with more data
@@ -98,7 +98,7 @@ def refit(online: SmootherState) -> None:
         if later:
             restart_after_change(online)
         return
-    estimate, report = _report(online, recording, fit, rival, count)
+    estimate, report = _report(online, recording, fit, count)
     if later and not report.converged and belief.drift is None and restart_after_change(online):
         return
     if belief.past is None and not observable(report):
@@ -132,9 +132,7 @@ def _plan_next(online: SmootherState, count: int) -> bool:
     return search
 
 
-def _report(
-    online: SmootherState, recording: Recording, fit: Fit, rival: Fit | None, count: int
-) -> tuple[Estimate, Calibration]:
+def _report(online: SmootherState, recording: Recording, fit: Fit, count: int) -> tuple[Estimate, Calibration]:
     """Store doubt, model error, clock drift and calibration for the reader; return estimate and calibration."""
     belief = online.belief
     estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
@@ -151,7 +149,7 @@ def _report(
             or _hard_iron(unexplained) > _hard_iron(belief.unexplained)
         ):
             belief.unexplained = unexplained  # the larger one, since marginalised windows keep that of the past
-    belief.report = report = online.result(recording, fit, rival, refitted=estimate, doubts=belief.contradictions)
+    belief.report = report = online.result(recording, fit, refitted=estimate, doubts=belief.contradictions)
     if testable(online, count):
         belief.drift = drift_of(online, recording, fit, report.converged)
         belief.report = report = with_drift(report, belief.drift)
@@ -186,7 +184,7 @@ def _walk(online: SmootherState) -> None:
     filter_walk(online)
     fit = fit_random_walk(online, belief.done)
     belief.estimate = online.last._replace(parameters=fit.state.parameters, covariance=fit.covariance)
-    belief.report = online.result(online.recording(belief.done, belief.tail), fit, None, belief.tail, online.last)
+    belief.report = online.result(online.recording(belief.done, belief.tail), fit, belief.tail, online.last)
     belief.stable = belief.report.converged and _is_stable(online, fit)
     belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
 

@@ -60,16 +60,16 @@ def _of_samples_so_far(online: SmootherState, integrated: IntegratedWindows) -> 
         )
         doubts = prior_contradictions(online.recording(None), online.fit_options) if online.prior_applies else []
         fit = _refit_all(online, integrated.of(online.buffer, belief.origin)) if well_cut else None
-        recording, rival = ending, None
+        recording = ending
         if fit is None:
             recording = online.recording(None)
-            fit, rival, _ = fit_samples(online, recording, False)
+            fit, _ = fit_samples(online, recording, False)
         change = _recent_change(online, fit)
-        return _with_clocks(online, online.result(recording, fit, rival, change=change, doubts=doubts), fit)
+        return _with_clocks(online, online.result(recording, fit, change=change, doubts=doubts), fit)
     stop = int(online.buffer.numbers[-1]) + 1
     fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
     change = _recent_change(online, fit)
-    calibration = online.result(ending, fit, None, belief.tail, online.last, change, belief.contradictions)
+    calibration = online.result(ending, fit, belief.tail, online.last, change, belief.contradictions)
     return with_drift(calibration, belief.drift)
 
 

@@ -65,7 +65,7 @@ def restart_at_convergence(online: SmootherState, fit: Fit, now: Calibration) ->
 def _before(online: SmootherState, numbers: Array, step: Step) -> Calibration:
     """Return the calibration from the windows `numbers` before a step."""
     recording = online.recording(int(numbers[step.window]), int(numbers[0]))
-    return online.result(recording, step.before, None, int(numbers[0]), online.last)
+    return online.result(recording, step.before, int(numbers[0]), online.last)
 
 
 def restart_after_change(online: SmootherState) -> bool:
@@ -77,8 +77,8 @@ def restart_after_change(online: SmootherState) -> bool:
     numbers, done = online.numbers(), online.belief.done
     recording = online.recording(done, int(numbers[len(numbers) // 2]))
     try:
-        fit, rival, _ = fit_batch(recording, None, online.settings.without_prior)
-        now = online.result(recording, fit, rival)
+        fit, _ = fit_batch(recording, None, online.settings.without_prior)
+        now = online.result(recording, fit)
         earlier = _change_before(online, fit) if now.converged else None
     except MagycError:
         return False  # the second half does not fit either: wait for more data

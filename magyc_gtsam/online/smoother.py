@@ -8,8 +8,8 @@ Windows are cut as the batch method cuts them. The chain falls into three parts:
 
 Until the estimate has converged and an hour has passed there is no past. After every 25 % more windows (`online.refit`)
 the whole chain is fitted as by the batch method, including noise levels and robust weights. Until it has converged, it
-is also fitted from several starts after every 50 % more windows, so that a poor early estimate does not persist. Then
-the head joins the past, linearised within a small part of a sigma, and an update takes constant time.
+is also fitted without the estimate as a start after every 50 % more windows, so that a poor early estimate does not
+persist. Then the head joins the past, linearised within a small part of a sigma, and an update takes constant time.
 """
 
 from __future__ import annotations

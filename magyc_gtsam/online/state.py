@@ -202,7 +202,6 @@ class SmootherState:
         self,
         recording: Recording,
         fit: Fit,
-        rival: Fit | None = None,
         first: int = 0,
         refitted: Estimate | None = None,
         change: Component | None = None,
@@ -212,7 +211,7 @@ class SmootherState:
 
         Args:
             recording: the samples of the fit.
-            fit, rival: the fit and a close rival.
+            fit: the fit.
             first: number of its first window.
             refitted: the last refit, whose noise levels hold if the fit is that of a tail.
             change: error by a change of the iron that the newest windows do not exclude.
@@ -228,7 +227,7 @@ class SmootherState:
             unexplained = (model_error(fit, self.buffer) if unexplained is None else unexplained).beside(change)
         options = self.settings.without_prior if self.belief.changes else self.settings
         result = calibration_of(
-            recording, fit, rival, options, colour, doubts, unexplained=unexplained, samples=self.buffer
+            recording, fit, options, colour, doubts, unexplained=unexplained, samples=self.buffer
         )
         windows = self.belief.given_up + int(np.searchsorted(self.numbers(), first)) + len(fit.chain.windows)
         configuration = dict(self.settings.configuration)

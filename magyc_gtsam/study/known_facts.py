@@ -98,7 +98,7 @@ def _bound(run: KnownPlaceCase, recording: Recording, options: Mapping[str, Any]
     chosen = SmootherOptions(**options)
     facts = known_of(chosen).facts
     if chosen.place is not None and chosen.place.dip is not None:
-        facts = (*facts, *known_dip(recording, fit_field_chain(recording)[0]))
+        facts = (*facts, *known_dip(recording, fit_field_chain(recording)))
     return float(np.trace(cramer_rao(run.simulation, facts)[6:9, 6:9])) / 3
 
 

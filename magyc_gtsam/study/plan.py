@@ -113,7 +113,7 @@ def shortest(planned: Sequence[Planned], motion: str, known: str, heading: float
 def _of_recording(
     motion: str, duration: float, recording: Recording, noise: tuple[float, float], options: SmootherOptions
 ) -> list[Planned]:
-    fit, _ = fit_field_chain(recording, noise=noise, delay=0.0, robust=False)
+    fit = fit_field_chain(recording, noise=noise, delay=0.0, robust=False)
     parameters = fit.state.parameters
     strength, _ = field_strength(parameters[:6])
     place: tuple[Fact, ...] = (StrengthFact(strength, FIELD_SIGMA), *known_dip(recording, fit))

@@ -7,22 +7,15 @@ Equation numbers are those of section 4 of the review (Papafotis, Nikitas, Sotir
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
-    Ellipsoid,
-    check_positive,
-    fitting,
-    normalised_field,
-    to_calibration,
-)
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
+from magyc_gtsam.estimators.ellipsoid.magnetometer_only import Ellipsoid, check_positive
 from magyc_gtsam.estimators.ellipsoid.twostep import ORDER, UNITS
 from magyc_gtsam.factors.chain.vech import vech
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 
 # Share of the field strength, four times the review's nominal value (80). A filter that is overconfident at its start
 # does not recover, whereas an underconfident one loses little.
@@ -102,52 +95,36 @@ class CrassidisFilter:
         return covariance
 
 
-def calibrate_crassidis(
-    recording: Recording,
+def crassidis(
+    y: Array,
     *,
-    field_strength: float | None = None,
-    noise: tuple[float, float] | None = None,
+    noise: float | None = None,
     offset_sigma: float = OFFSET_SIGMA,
     shape_sigma: float = SHAPE_SIGMA,
     progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate by one pass of the filter over the recording, in order of time.
+) -> Ellipsoid:
+    """Fit the ellipsoid to samples (n, 3) without units by one pass of the filter, in order of time.
 
     Args:
-        recording: with magnetometer.
-        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        noise: (magnetometer T, not used) per sample; None takes NOISE, and scales the covariance by the residuals.
+        y: samples (n, 3).
+        noise: σ of a sample; None takes NOISE, and scales the covariance by the residuals.
         offset_sigma, shape_sigma: standard deviations of the start, relative to the field.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: samples that no ellipsoid explains.
+        progress: called with the share done.
     """
-    samples = normalised_field(recording)
-    relative = NOISE if noise is None else noise[0] / samples.unit
-    filter_ = CrassidisFilter(relative, offset_sigma=offset_sigma, shape_sigma=shape_sigma)
-    every = -(-len(samples.value) // _REPORTS)
-    with fitting("crassidis"):
-        for index, y in enumerate(samples.value):
-            filter_.update(y)
-            if progress and index % every == 0:
-                progress(index / len(samples.value))
-        T, h = filter_.matrix, filter_.offset
-        residual = np.linalg.norm(np.linalg.solve(T, (samples.value - h).T), axis=0) - 1
+    filter_ = CrassidisFilter(
+        NOISE if noise is None else noise, offset_sigma=offset_sigma, shape_sigma=shape_sigma
+    )
+    every = -(-len(y) // _REPORTS)
+    for index, sample in enumerate(y):
+        filter_.update(sample)
+        if progress and index % every == 0:
+            progress(index / len(y))
+    T, h = filter_.matrix, filter_.offset
     covariance = filter_.calibration_covariance
     if noise is None:
+        residual = np.linalg.norm(np.linalg.solve(T, (y - h).T), axis=0) - 1
         covariance *= float(np.mean(residual**2)) / NOISE**2
-    ellipsoid = Ellipsoid(T, h, message=f"filtered {len(samples.value)} samples", covariance=covariance)
-    if progress:
-        progress(1.0)
-    configuration: dict[str, Any] = {"offset_sigma": offset_sigma, "shape_sigma": shape_sigma}
-    if noise is not None:
-        configuration["noise"] = list(noise)
-    return to_calibration(
-        recording,
-        samples,
-        ellipsoid,
-        method="crassidis",
-        field_strength=field_strength,
-        configuration=configuration,
-    )
+    return Ellipsoid(T, h, message=f"filtered {len(y)} samples", covariance=covariance)
+
+
+calibrate_crassidis = entry_point("crassidis", crassidis)

@@ -1,4 +1,4 @@
-"""The entry point of methods that fit an ellipsoid to all samples at once and have no options in T."""
+"""The entry point of methods that fit an ellipsoid to the samples of the magnetometer."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def entry_point(method: str, fit: Callable[..., Ellipsoid]) -> Callable[..., Cal
 
     Args:
         method: name in the registry.
-        fit: samples (n, 3) without units, and keywords with defaults → ellipsoid; the keyword `progress`, where it has
-            one, is a function of the share done.
+        fit: samples (n, 3) without units, and keywords with defaults → ellipsoid. Where it has them, the keyword
+            `progress` is a function of the share done, and `noise` the sigma of a sample, in the unit of the samples.
     """
     defaults = dict(fit.__kwdefaults__ or {})
     reports = "progress" in defaults
@@ -47,11 +47,14 @@ def entry_point(method: str, fit: Callable[..., Ellipsoid]) -> Callable[..., Cal
         """
         options = defaults | chosen
         samples = normalised_field(recording)
+        noise = options.get("noise")  # (magnetometer T, gyroscope rad/s)
+        own = options if noise is None else options | {"noise": noise[0] / samples.unit}
         with fitting(method):
-            ellipsoid = fit(samples.value, **options, **({"progress": progress} if reports else {}))
+            ellipsoid = fit(samples.value, **own, **({"progress": progress} if reports else {}))
         if progress:
             progress(1.0)
-        configuration = {name: list(v) if isinstance(v, tuple) else v for name, v in options.items()}
+        told = {name: value for name, value in options.items() if value is not None}
+        configuration = {name: list(value) if isinstance(value, tuple) else value for name, value in told.items()}
         return to_calibration(
             recording,
             samples,

@@ -6,72 +6,26 @@ The samples enter only through sums, so the cost of an iteration does not depend
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
-    REMEDY,
-    Ellipsoid,
-    check_positive,
-    ended,
-    fitting,
-    normalised_field,
-    to_calibration,
-)
+from magyc_gtsam.estimators.ellipsoid.entry_point import entry_point
+from magyc_gtsam.estimators.ellipsoid.magnetometer_only import REMEDY, Ellipsoid, check_positive, ended
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, vech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 
 ORDER = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # order of a symmetric matrix's elements in (11) and (16)
 UNITS = SYMMETRIC_UNITS[[0, 3, 5, 1, 2, 4]]  # the six symmetric unit matrices in that order
 _ROUNDING = 1e-9  # share of the field, least noise that is assumed
 
 
-def calibrate_twostep(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    noise: tuple[float, float] | None = None,
-    tolerance: float = 1e-10,
-    max_iterations: int = 100,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate with TWOSTEP.
-
-    Args:
-        recording: with magnetometer.
-        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        noise: (magnetometer T, not used) per sample; None estimates it from the residuals.
-        tolerance: on η (12), the squared step in units of the estimate's standard deviation.
-        max_iterations: largest number of iterations of the second step.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: samples that no ellipsoid explains.
-    """
-    samples = normalised_field(recording)
-    sigma = None if noise is None else noise[0] / samples.unit
-    with fitting("twostep"):
-        ellipsoid = twostep(samples.value, sigma, tolerance=tolerance, max_iterations=max_iterations)
-    if progress:
-        progress(1.0)
-    configuration: dict[str, Any] = {"tolerance": tolerance, "max_iterations": max_iterations}
-    if noise is not None:
-        configuration["noise"] = list(noise)
-    return to_calibration(
-        recording, samples, ellipsoid, method="twostep", field_strength=field_strength, configuration=configuration
-    )
-
-
 def twostep(
-    y: Array, noise: float | None = None, *, tolerance: float = 1e-10, max_iterations: int = 100
+    y: Array, *, noise: float | None = None, tolerance: float = 1e-10, max_iterations: int = 100
 ) -> Ellipsoid:
-    """Fit the ellipsoid to samples (n, 3) without units; `noise` is σ of a sample, None estimates it.
+    """Fit the ellipsoid to samples (n, 3) without units, until η (12), the squared step in sigmas, is at `tolerance`.
 
-    If σ is unknown, a first pass in the limit σ → 0, which affects only μ (5a), gives σ from its residuals.
+    `noise` is σ of a sample. If it is None, a first pass in the limit σ → 0, which affects only μ (5a), gives σ from
+    its residuals.
     """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     if noise is not None:
@@ -79,6 +33,9 @@ def twostep(
         return _twostep(y, noise, tolerance, max_iterations)[0]
     _, sigma = _twostep(y, 0.0, tolerance, max_iterations)
     return _twostep(y, max(sigma, _ROUNDING), tolerance, max_iterations)[0]
+
+
+calibrate_twostep = entry_point("twostep", twostep)
 
 
 def _twostep(y: Array, noise: float, tolerance: float, max_iterations: int) -> tuple[Ellipsoid, float]:

@@ -1,4 +1,8 @@
-"""The minima of a field chain: the lowest, distinct and identical ones, and a start from a part of the recording."""
+"""Two minima of a field chain: their comparison, and a start for the second from a part of the recording.
+
+If the instrument was another one for some of the windows (an axis whose sign was wrong for a third of the log), a
+descent on all windows may miss the minimum of the majority. A part of the log may be free of such windows.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +18,21 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 
-_CLOSE = 1.1  # ratio of misfits up to which two minima count as close
-_EQUAL = 1.01  # ratio of misfits up to which minima count as equal
 _APART = 0.05  # distance of the hard irons of two minima, in field strengths, from which they are distinct
+_PARTS = 4
+_ROUNDS = 3  # updates of the weights
 
 
-def lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
-    """Return the minimum of lowest robust misfit, and a distinct one within `_CLOSE` of it; None if there is none.
+def lower(fit: Fit, other: Fit) -> bool:
+    """Return whether a minimum has a lower robust misfit than another one, or is the only one with a possible iron.
 
     Minima found with different noise levels and weights are compared at one noise level, with each residual truncated
-    at its rejection threshold. Minima with a soft iron that is not positive definite count only if there are no others.
+    at its rejection threshold.
     """
-    possible = [fit for fit in fits if positive(fit)] or fits
-    noise = min((fit.chain.noise for fit in possible), key=lambda noise: noise.magnetometer)
-    ranked = sorted(possible, key=lambda fit: misfit(fit, noise))
-    # If the motion leaves a direction unobserved, many minima explain the data equally: take the best-conditioned iron.
-    equal = [fit for fit in ranked if misfit(fit, noise) < _EQUAL * misfit(ranked[0], noise)]
-    best = min(equal, key=lambda fit: float(np.linalg.cond(unvech(fit.state.parameters[:6]))))
-    rival = next((fit for fit in ranked if apart(fit, best)), None)
-    return best, rival if rival is not None and misfit(rival, noise) < _CLOSE * misfit(best, noise) else None
-
-
-def close(fit: Fit, best: Fit) -> bool:
-    """Return whether another fit explains the data almost as well as `best`, at the noise of `best`."""
-    noise = best.chain.noise
-    return misfit(fit, noise) < _CLOSE * misfit(best, noise)
+    if positive(fit) != positive(other):
+        return positive(fit)
+    noise = min(fit.chain.noise, other.chain.noise, key=lambda noise: noise.magnetometer)
+    return misfit(fit, noise) < misfit(other, noise)
 
 
 def positive(fit: Fit) -> bool:
@@ -51,23 +45,10 @@ def strength(fit: Fit) -> float:
     return float(np.cbrt(abs(np.linalg.det(unvech(fit.state.parameters[:6])))))
 
 
-def same(fit: Fit, other: Fit) -> bool:
-    """Return whether two descents of one chain ended at the same minimum, within two sigmas at the residual's noise."""
-    step = fit.state.parameters - other.state.parameters
-    left = max(
-        2 * other.reduced.cost / (3 * len(other.chain.windows)), 1.0
-    )  # variance over that of short-term noise
-    return fit.converged and other.converged and bool(step @ other.reduced.information @ step < NEAR * left)
-
-
 def apart(fit: Fit, other: Fit) -> bool:
     """Return whether the hard irons of two minima differ."""
     distance = np.linalg.norm(fit.state.parameters[6:9] - other.state.parameters[6:9])
     return bool(distance > _APART * strength(other))
-
-
-_PARTS = 4
-_ROUNDS = 3  # updates of the weights
 
 
 def by_a_part(fit: Fit, noise: SensorNoise, most: float) -> Fit | None:

@@ -15,8 +15,8 @@ from magyc_gtsam.estimators.smoother.dip import dip_fact
 from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, PATIENCE, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.heading import heading_fact
 from magyc_gtsam.estimators.smoother.known import PriorKnowledge, known_of
-from magyc_gtsam.estimators.smoother.minima import apart, by_a_part, close, lowest, positive, same, strength
-from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit, weigh
+from magyc_gtsam.estimators.smoother.minima import apart, by_a_part, lower, positive, strength
+from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.skew import on_skew, skew_from_score, skew_of, widened
@@ -33,11 +33,10 @@ from magyc_gtsam.recording import Recording
 Progress = Callable[[float], None]
 
 _MOVED = 0.02  # rad; a change of bias or delay that rotates a window by more requires a new integration
-_EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is tried
+_EXPLAINED = 2.0  # cost per residual at the short-term noise up to which the data are explained
 _UNDISTURBED = 0.97  # mean weight of the windows from which their length is kept
 _SHORT_WINDOW = 0.5  # s, longest window if stretches are disturbed
 _LEAST_WINDOWS = 8
-_MOST_DELAY = 1.0  # s, the bound of the option
 _AGAIN = 6  # most fits until the linearisation of gyroscope and dip is close to the minimum
 _ROUNDS_JUMPED = 9  # updates of weights and noise levels if the field jumps
 _LEAST_EVEN = 0.5  # mean weight of the windows from which a field with jumps is uniform except in some stretches
@@ -51,8 +50,8 @@ def fit_field_chain(
     progress: Progress = lambda _: None,
     brief: bool = False,
     **chosen: Any,
-) -> tuple[Fit, Fit | None]:
-    """Return the chain at its lowest minimum, and the best different minimum if its cost is close.
+) -> Fit:
+    """Return the chain at its lowest minimum.
 
     Args:
         recording: with magnetometer and gyroscope.
@@ -102,59 +101,38 @@ def fit_field_chain(
         near = descend(begun, NEAR)
         if not near.converged:
             check_axes()
-        best = first = _reintegrated(samples, near)
+        best = _reintegrated(samples, near)
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
         if not explained or level.magnetometer > 0.1 * strength(best):
             check_axes()  # the misfit exceeds the sensors' noise: their axes may be inconsistent
-        jumps = not explained and bool(field_jumps(recording))
-        rival = None
-        if jumps:
-            # If the field jumps, no start fits: a search would take many times as long without finding a minimum.
+        if not explained and field_jumps(recording):
+            # If the field jumps, nothing fits, and a descent would take many times as long without finding a minimum.
             best = _adapted(samples, best, reject, short_term, _ROUNDS_JUMPED)
             if best.weights.window.mean() < _LEAST_EVEN:
-                return best, None
+                return best
         best = _adapted(samples, best, reject, short_term)
     else:
         begun = begin(chain, start[:PARAMETERS], free, patience)
-        best, rival, explained = refit_field_chain(samples, begun, reject, short_term), None, True
+        best, explained = refit_field_chain(samples, begun, reject, short_term), True
     if best.hopeless:
         if brief:
             raise MagycError(f"no minimum within {best.iterations} iterations")
-        return best, None  # other starts would fail too, in as many iterations each
+        return best
     best = skewed(best)
-    if not explained and best.skew is not None and best.skew.decided:
-        explained = best.converged and misfit(best, level) < _EXPLAINED * 3 * len(windows)
-    if start is None and not brief and (not explained or level.magnetometer > 0.1 * strength(best)):
-        # The misfit exceeds the sensors' noise: the minimum may be a local one.
-        fits, ends = [best], [near, first]
-        for parameters in starts.others(windows, best.state.parameters[9:12]):
-            progress(0.4 + 0.1 * len(fits))
-            near = descend(begin(chain, parameters, free, BRIEF), NEAR)
-            fit = near if any(same(near, end) for end in ends) else _reintegrated(samples, near)
-            if any(same(fit, end) for end in ends):
-                continue
-            ends += [near, fit]
-            if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # otherwise the delay diverged
-                fits.append(_adapted(samples, fit, reject, short_term))
-        best, _ = lowest(fits)
-        part = None
-        if reject and disturbed(best):
-            part = by_a_part(_without_skew(best), level, misfit(best, level))
-        if part is not None:
-            part = _adapted(samples, part, reject, short_term)
-            fits += [part] if apart(part, best) else []
-        best, rival = lowest(fits)
-        best = best if best is fits[0] else skewed(best)
+    if not explained and not brief and reject and disturbed(best):
+        progress(0.6)
+        alone = _without_skew(best)
+        part = by_a_part(alone, level, misfit(best, level))
+        part = None if part is None else _adapted(samples, part, reject, short_term)
+        if part is not None and apart(part, best) and lower(part, best):
+            best = skewed(part)
     if reject and disturbed(best):
         progress(0.8)
         # With shorter windows fewer data are lost at the edges of disturbed stretches.
         samples = preintegrate(recording, shortened(window), turn)
-        finer = _adapted(samples, _rewindowed(samples, _without_skew(best)), reject, short_term)
-        others = [fit for fit in (rival, best) if fit is not None and apart(fit, finer)]
-        rival = next((fit for fit in others if close(weigh(finer.chain, fit.state.parameters), finer)), None)
-        best = skewed(finer)
-    return best, rival
+        best = skewed(_adapted(samples, _rewindowed(samples, _without_skew(best)), reject, short_term))
+    return best
 
 
 def skew_prior(options: SmootherOptions, known: PriorKnowledge) -> SkewPrior | None:

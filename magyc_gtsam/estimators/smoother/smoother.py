@@ -65,9 +65,9 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     report(0.0)
     if options.clock_drift:
         recording = restamped(recording, options.clock_drift)
-    fit, rival = fit_field_chain(recording, options, progress=report)
+    fit = fit_field_chain(recording, options, progress=report)
     doubts = prior_contradictions(recording, options)
-    calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
+    calibration = calibration_of(recording, fit, options, doubts=doubts)
     stretches = disturbed_stretches(recording, fit, options)
     change = hard_iron_change(recording, fit, calibration, options)
     doubt = "" if change is None else change.sentence(recording)
@@ -75,30 +75,29 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         doubt = instrument_change(recording, stretches, calibration, options, _of)
     if doubt:
         doubts = [doubt, *doubts]
-        calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
+        calibration = calibration_of(recording, fit, options, doubts=doubts)
 
     def refit(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
-        fit, rival = fit_field_chain(again, options, start=start, brief=True)
-        return fit, lambda: calibration_of(again, fit, rival, options).converged
+        fit = fit_field_chain(again, options, start=start, brief=True)
+        return fit, lambda: calibration_of(again, fit, options).converged
 
     drift = find_drift(recording, fit, calibration.converged, refit)
     drift = None if drift is None else drift._replace(known=options.clock_drift)
     if options.gyroscope_scale and change is None and not (drift is not None and drift.harms):
         corrected, fit, doubt = with_scale(recording, fit, options, partial(_next_to, options))
         doubts = [doubt, *doubts] if doubt else doubts
-        calibration = calibration_of(corrected, fit, rival, options, doubts=doubts)
+        calibration = calibration_of(corrected, fit, options, doubts=doubts)
     report(1.0)
     return with_drift(calibration, drift)
 
 
 def _of(recording: Recording, options: SmootherOptions) -> Calibration:
-    fit, rival = fit_field_chain(recording, options)
-    return calibration_of(recording, fit, rival, options)
+    return calibration_of(recording, fit_field_chain(recording, options), options)
 
 
 def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
     """Return the fit of a recording, started from the parameters of another recording's fit."""
-    return fit_field_chain(recording, options, start=fit.state.parameters)[0]
+    return fit_field_chain(recording, options, start=fit.state.parameters)
 
 
 def prior_contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
@@ -142,7 +141,6 @@ def posterior(fit: Fit, factor: float) -> Posterior:
 def calibration_of(
     recording: Recording,
     fit: Fit,
-    rival: Fit | None,
     options: SmootherOptions,
     colour: float | None = None,
     doubts: Sequence[str] = (),
@@ -153,7 +151,7 @@ def calibration_of(
 
     Args:
         recording: what was fitted.
-        fit, rival: the lowest minimum, and a different one of nearly equal cost.
+        fit: the lowest minimum.
         options: the smoother's options.
         colour, unexplained: replace the values of the fit if it holds only the end of a longer chain.
         doubts: reasons for distrust known before.
@@ -169,7 +167,7 @@ def calibration_of(
     unit, observability = judgement.strength, judgement.observability
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
     reasons += strength_contradiction(known.parameters, known.covariance, options)
-    reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
+    reasons += _jumped(fit, recording) + _reasons(fit, unit, observability)
     if not observability.observable:
 
         def enough(covariance: Array) -> bool:
@@ -241,14 +239,14 @@ def _jumped(fit: Fit, recording: Recording) -> list[str]:
     return [f"the field jumped {named}: calibrate a stretch between (start=, end=), or run `mg.find_gap`"]
 
 
-def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: Observability) -> list[str]:
+def _reasons(fit: Fit, field_strength: float, observability: Observability) -> list[str]:
     """Return the reasons not to trust the result, the root cause first; empty if there are none."""
     reasons = []
     left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
     misfit = ""
     if left > _MOST_UNEXPLAINED * field_strength:
         misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field)"
-    elif not positive(fit):
+    elif observability.observable and not positive(fit):
         misfit = "only a soft iron that mirrors the field fits, which no instrument has"
     if misfit:
         reasons.append(
@@ -265,13 +263,6 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
         much = "; turning over sweeps some 90 along each" if swept.min() < 90 else ""
         reasons.append(
             f"too little motion (the field swept {along} µT along x, y, z{much}): {observability.weak[0].sentence}"
-        )
-    if rival is not None:
-        other = rival.state.parameters[6:9] * 1e6
-        reasons.append(
-            f"two calibrations explain the data almost equally well (the other hard iron is "
-            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion, or choose "
-            "an undisturbed interval (start=, end=)"
         )
     if not fit.converged:
         reasons.append(f"no convergence within {fit.iterations} iterations")

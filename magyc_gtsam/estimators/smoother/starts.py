@@ -106,14 +106,3 @@ def _solved(normal: Array, right: Array) -> Array:
     except np.linalg.LinAlgError:
         solution = np.linalg.lstsq(normal, right, rcond=None)[0]
     return solution.astype(np.float64, copy=False)
-
-
-def others(windows: FieldWindows, bias: Array) -> list[Array]:
-    """Return the starts that need no gyroscope: hard iron 0, the centre of the samples' bounding box, a sphere fit."""
-    field = windows.field
-    box = 0.5 * (field.max(axis=1) + field.min(axis=1))
-    ones = np.ones((1, field.shape[1]))
-    design = np.concatenate([2 * (field - box[:, None]), ones * np.ptp(field)])
-    square = np.einsum("in,in->n", field - box[:, None], field - box[:, None])
-    sphere = np.linalg.lstsq(design.T, square, rcond=None)[0][:3] + box
-    return [spherical(windows, hard_iron, bias) for hard_iron in (np.zeros(3), box, sphere)]

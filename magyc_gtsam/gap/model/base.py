@@ -39,11 +39,11 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
     """Fit the twelve parameters; with the delay and the terms of a calibration, if one is given."""
     delay = 0.0 if calibration is None else calibration.delay
     still = moving(recording)
-    fit, _ = fit_field_chain(still, robust=False, delay=delay)
+    fit = fit_field_chain(still, robust=False, delay=delay)
     if not fit.converged:
         # An effect as large as the field is missing. With the field strength as noise level there is one minimum.
         field = float(np.median(np.linalg.norm(still.magnetometer.value, axis=1)))
-        fit, _ = fit_field_chain(still, robust=False, delay=delay, noise=(field, short_term.gyroscope))
+        fit = fit_field_chain(still, robust=False, delay=delay, noise=(field, short_term.gyroscope))
     free = np.ones(PARAMETERS, dtype=bool)
     terms: tuple[Active, ...] = ()
     if calibration is not None:
