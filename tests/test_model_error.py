@@ -15,7 +15,7 @@ from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided, too_slow
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
-from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import descend
 from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
@@ -74,24 +74,6 @@ def test_columns_have_the_products_that_elimination_leaves(fit) -> None:
             whitened = columns.window[k] * fit.chain.window_scale * np.sqrt(fit.weights.window)
             left = float(np.vdot(whitened, whitened)) - explained(fit, whitened, fit.covariance)
             assert normal[k, k] == pytest.approx(left, rel=1e-6, abs=1e-10 * np.vdot(whitened, whitened))
-
-
-def test_products_of_profiles_and_axes_are_as_any_columns(fit) -> None:
-    """The short way through the elimination, many groups together, against the long one, each by itself."""
-    motion, beside = WindowMotion.of(fit), ColumnProducts(fit)
-    groups = [g for g in (family.columns(motion) for family in FAMILIES) if isinstance(g, Products)]
-    assert len(groups) > 6
-    for together, group in zip(beside.of_each([lambda group=g: group for g in groups]), groups, strict=True):
-        alone = beside.of(group.dense)
-        size = np.sqrt(np.square(group.window * beside.window_scale).sum(axis=(1, 2)))
-        np.testing.assert_allclose(
-            together.normal / np.outer(size, size), alone.normal / np.outer(size, size), atol=1e-11
-        )
-        np.testing.assert_allclose(together.score / size, alone.score / size, atol=1e-9)
-        one, other = Stacked.of([together]), Stacked.of([alone])
-        np.testing.assert_allclose(one.across(other), other.across(other), atol=1e-11 * size.max() ** 2)
-        moves = beside.move(alone)
-        np.testing.assert_allclose(beside.move(together), moves, atol=1e-9 * np.abs(moves).max())
 
 
 def test_products_of_all_families_have_no_negative_direction(fit) -> None:

@@ -62,7 +62,7 @@ def test_a_magnet_that_comes_and_goes_is_not_calibrated(calibrated):
     """The whole recording: no single hard iron fits."""
     _, calibration = calibrated("broad_32_attached_magnet_1cm.mcap")
     assert not calibration.converged
-    assert "the field or the instrument changed during the recording" in calibration.message
+    assert calibration.message.startswith("the field jumped at 38 s by 58 µT and at 95 s by 67 µT")
 
 
 @pytest.mark.parametrize("name", ["nexus5_augmented_reality.mcap", "nexus5_calibration_d1.mcap"])

@@ -126,9 +126,9 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: FamilyTes
         return tested
     if more.all() and family.mixed:
         return _without_unknown_mixtures(beside, motion, tested)
-    columns, kept = family.columns_of(motion).dense, more
+    columns, kept = family.columns_of(motion), more
     if family.from_rate:
-        noise = beside.of(columns.less(family.columns_of(motion.noisier).dense)).normal.diagonal()
+        noise = beside.of(columns.less(family.columns_of(motion.noisier))).normal.diagonal()
         kept = more & (noise < _NOISE_SHARE * tested.new.normal.diagonal())
     if kept.all():
         return tested
@@ -138,11 +138,11 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: FamilyTes
 
 def _without_unknown_mixtures(beside: ColumnProducts, motion: WindowMotion, tested: FamilyTest) -> FamilyTest:
     """Return the test without combinations of columns that consist of the gyroscope's noise or are not resolved."""
-    family, columns = tested.family, tested.family.columns_of(motion).dense
+    family, columns = tested.family, tested.family.columns_of(motion)
     value, axes, _ = tested.principal
     kept = np.ones(len(value), dtype=bool)
     for other, most in ((motion.noisier, _NOISE_SHARE), (motion.by_trapezoids, _UNRESOLVED_SHARE)):
-        apart = beside.of(columns.less(family.columns_of(other).dense)).normal
+        apart = beside.of(columns.less(family.columns_of(other))).normal
         kept &= np.einsum("ki,kl,li->i", axes, apart, axes) < most * value
     if kept.all():
         return tested

@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.by_attitude import attitude, tilt
 from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
-from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.vech import vech
@@ -66,7 +66,7 @@ class ColumnFamily:
 
     name: str
     place: str
-    columns: Callable[[WindowMotion], Columns]
+    columns: Callable[[WindowMotion], UnmodelledColumns]
     most: float
     functions: int = 1
     stage: int = 0
@@ -82,7 +82,7 @@ class ColumnFamily:
     mixed: bool = False
     only_beside: bool = False
 
-    def columns_of(self, motion: WindowMotion) -> Columns:
+    def columns_of(self, motion: WindowMotion) -> UnmodelledColumns:
         """Return the columns of a motion; on the gyroscope they include the motion while the field was not measured."""
         return self.columns(motion.along_links if self.name.startswith("gyroscope:") else motion)
 
@@ -151,14 +151,14 @@ def _skew(motion: WindowMotion) -> UnmodelledColumns:
     return UnmodelledColumns(np.einsum("ab,bkn->kan", motion.soft_iron, turned), None)
 
 
-def _speed(motion: WindowMotion) -> Products:
+def _speed(motion: WindowMotion) -> UnmodelledColumns:
     """Return columns of the size of the rate about each axis less its mean, as of the currents of thrusters."""
     size = np.abs(motion.rate)
     size -= size.mean(axis=1, keepdims=True)
     return motion.in_sensor(size / max(float(np.sqrt(np.mean(size**2))), ALIKE))
 
 
-def _rate_times_field(motion: WindowMotion) -> Products:
+def _rate_times_field(motion: WindowMotion) -> UnmodelledColumns:
     products = np.einsum("in,jn->ijn", motion.relative, motion.unit).reshape(9, -1)
     return motion.in_sensor(products * np.sqrt(3.0))
 
@@ -214,7 +214,7 @@ def _speeds(motion: WindowMotion) -> UnmodelledColumns:
     return _split(motion, np.sign(speed - np.median(speed)))
 
 
-def _bent_rate(motion: WindowMotion) -> RateErrors:
+def _bent_rate(motion: WindowMotion) -> UnmodelledColumns:
     """Return columns of the squares and products of the rates, and of each rate times its absolute value."""
     w = motion.relative
     products = np.array([w[i] * w[j] for i in range(3) for j in range(i, 3)] + [row * abs(row) for row in w])
@@ -236,7 +236,7 @@ def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
 def _in_time(
     name: str,
     place: str,
-    put: Callable[[WindowMotion, Array], Columns],
+    put: Callable[[WindowMotion, Array], UnmodelledColumns],
     most: float,
     waves: tuple[int, int],
     **more: Any,
@@ -274,7 +274,7 @@ FAMILIES = (
     ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9, stage=2),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, from_rate=True),
     ColumnFamily(
-        "gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, stage=1, unit="share", mixed=True
+        "gyroscope:linear", _SCALED, lambda m: m.about_each_axis(m.rate), 0.03, stage=1, unit="share", mixed=True
     ),
     _in_time("gyroscope:drift", _BIASED, WindowMotion.slowly_about_each_axis, 0.015, _SLOWEST, unit="rate"),
     _in_time(

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dpttrf, dpttrs
 
-from magyc_gtsam.estimators.smoother.columns import Products, RateErrors, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
@@ -165,17 +165,13 @@ class WindowMotion:
         """(3, n) T/s², time derivative of `reading_change`."""
         return self.derivative(self.reading_change)
 
-    def in_sensor(self, profiles: Array) -> Products:
+    def in_sensor(self, profiles: Array) -> UnmodelledColumns:
         """Return the columns of profiles (k, n) along each of the sensor's axes, in units of the field strength."""
-        return Products(profiles, self._sensor_axes)
+        return along_axes(profiles, (np.eye(3) * self.strength)[:, :, None])
 
-    def in_world(self, profiles: Array) -> Products:
+    def in_world(self, profiles: Array) -> UnmodelledColumns:
         """Return the columns of profiles (k, n) along each of the world's axes, in units of the field strength."""
-        return Products(profiles, self._world_axes)
-
-    @cached_property
-    def _sensor_axes(self) -> Array:
-        return np.broadcast_to((np.eye(3) * self.strength)[:, :, None], (3, 3, len(self.time)))
+        return along_axes(profiles, self._world_axes)
 
     @cached_property
     def attitude(self) -> Array:
@@ -187,25 +183,20 @@ class WindowMotion:
         """(3, 3, n) T, the readings of unit fields along the world's axes, axis by axis."""
         return (self.soft_iron @ self.attitude.reshape(3, -1)).reshape(self.attitude.shape).swapaxes(0, 1)
 
-    def on_gyroscope(self, profiles: Array) -> RateErrors:
+    def on_gyroscope(self, profiles: Array) -> UnmodelledColumns:
         """Return the columns of rate errors ω (k, 3, n) rad/s: links turn by −∫ Rᵀ ω dt more than modelled."""
-        return RateErrors(np.einsum("jin,kjn->kin", self.rotation, profiles), self._links)
+        return UnmodelledColumns(None, self._links(np.einsum("jin,kjn->kin", self.rotation, profiles)))
 
-    def about_each_axis(self, profiles: Array) -> RateErrors:
+    def about_each_axis(self, profiles: Array) -> UnmodelledColumns:
         """Return the 3k columns of rate errors with profiles (k, n) rad/s about each of the sensor's axes."""
         turned = profiles[:, None, None] * self.rotation
-        return RateErrors(turned.reshape(-1, *turned.shape[2:]), self._links)
+        return UnmodelledColumns(None, self._links(turned.reshape(-1, *turned.shape[2:])))
 
     def slowly_about_each_axis(self, profiles: Array) -> UnmodelledColumns:
         """Return the same columns of profiles that hardly change within a link, by the samples' integrals over it."""
         own = profiles if self.window is None else profiles[:, self.window]
         turned = 0.5 * (own[:, 1:] + own[:, :-1])[:, None, None] * -self.lever.swapaxes(0, 1)
         return UnmodelledColumns(None, self._across(turned.reshape(-1, *turned.shape[2:])))
-
-    def gyroscope_matrix(self) -> UnmodelledColumns:
-        """Return the 9 columns of a matrix error on the rate, row by row, as a share of the rate."""
-        turned = self.rate[:, None, None] * self.rotation
-        return UnmodelledColumns(None, self._links(turned.reshape(9, 3, -1)))
 
     def gyroscope_scales(self) -> UnmodelledColumns:
         """Return the three columns of the scale errors of the gyroscope's axes."""
@@ -297,3 +288,9 @@ def _aligned(world: Array, direction: Array) -> Array:
     angle = np.arctan2(size, mean @ there)
     turn = exponential_matrices(across * (angle / np.maximum(size, ALIKE)))
     return np.einsum("ijn,jkn->ikn", turn, world)
+
+
+def along_axes(profiles: Array, axes: Array) -> UnmodelledColumns:
+    """Return the columns of the windows that are the products of profiles (q, n) with axes (b, 3, n) T, q b of them."""
+    columns = profiles[:, None, None] * axes
+    return UnmodelledColumns(columns.reshape(-1, *columns.shape[2:]), None)

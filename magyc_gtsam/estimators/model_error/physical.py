@@ -13,7 +13,7 @@ import numpy as np
 from magyc_gtsam.estimators.model_error.by_attitude import flex
 from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, LIKELY, USUAL, ColumnFamily
 from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
-from magyc_gtsam.estimators.smoother.columns import RateErrors, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
@@ -128,16 +128,16 @@ def _by_data_sheet(motion: WindowMotion) -> float:
     return _DATA_SHEET
 
 
-def _gyroscope_bend(motion: WindowMotion) -> RateErrors:
+def _gyroscope_bend(motion: WindowMotion) -> UnmodelledColumns:
     share = motion.rate / max(float(np.abs(motion.rate).max()), ALIKE)
     return motion.on_gyroscope(_one(motion.rate * share * share))
 
 
-def _dead_band(motion: WindowMotion) -> RateErrors:
+def _dead_band(motion: WindowMotion) -> UnmodelledColumns:
     return motion.on_gyroscope(_one(np.clip(motion.rate / _BAND, -1.0, 1.0)))
 
 
-def _gyroscope_filter(motion: WindowMotion) -> RateErrors:
+def _gyroscope_filter(motion: WindowMotion) -> UnmodelledColumns:
     """Return the column, per s², of a filter's second order.
 
     The error of the trapezoidal rule, a twelfth of the squared sampling interval, has the same form.

@@ -17,20 +17,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, joined
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns, joined
 from magyc_gtsam.estimators.smoother.whitened_fit import ROUNDING, WhitenedFit
-from magyc_gtsam.factors.chain.banded import forward_solved
-from magyc_gtsam.factors.chain.rotations import Array, along
+from magyc_gtsam.factors.chain.rotations import Array
 
 # Columns times windows that go through the elimination together: few calls, and the working set stays in the cache.
 _TOGETHER = 1 << 15
 
-Make = Callable[[], Columns]
+Make = Callable[[], UnmodelledColumns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,18 +65,18 @@ class ColumnScore:
 class ColumnProducts(WhitenedFit):
     """The products of columns with a fit at its minimum."""
 
-    def of(self, columns: Columns) -> ColumnScore:
+    def of(self, columns: UnmodelledColumns) -> ColumnScore:
         """Return score and information of a group of columns."""
         return self.of_each([lambda: columns])[0]
 
     def of_each(self, groups: Sequence[Make]) -> list[ColumnScore]:
-        """Return score and information of each group; groups of the same kind go through the elimination together."""
+        """Return score and information of each group; groups on the same sensors are eliminated together."""
         result: dict[int, tuple[Array, Array, Array]] = {}
-        waiting: dict[object, dict[int, Columns]] = {}
+        waiting: dict[object, dict[int, UnmodelledColumns]] = {}
         windows = len(self.fit.chain.windows)
         for i, make in enumerate(groups):
             group = make()
-            alike = waiting.setdefault(_kind(group), {})
+            alike = waiting.setdefault((group.window is None, group.link is None), {})
             alike[i] = group
             if sum(each.size for each in alike.values()) * windows >= _TOGETHER:
                 result |= self._of_alike(alike)
@@ -87,87 +85,37 @@ class ColumnProducts(WhitenedFit):
             result |= self._of_alike(alike)
         return [ColumnScore(*result[i], make, self) for i, make in enumerate(groups)]
 
-    def _of_alike(self, groups: dict[int, Columns]) -> dict[int, tuple[Array, Array, Array]]:
-        """Return {key: (G, s, explained)} of groups that are all on the same sensors, or have the same axes."""
+    def _of_alike(self, groups: dict[int, UnmodelledColumns]) -> dict[int, tuple[Array, Array, Array]]:
+        """Return {key: (G, s, explained)} of groups that are all on the same sensors."""
         if not groups:
             return {}
-        left, each = self.left, list(groups.values())
-        part = self._products(each) if isinstance(each[0], Products) else self._dense(each)
-        absorbed = forward_solved(self.factor, part.border)
-        explained = self.estimated.explained(part.pull - self.estimated.half @ absorbed.T)
-        score = absorbed @ left.absorbed + explained.T @ left.explained - part.score
+        left, own = self.left, self.estimated
+        window, link, absorbed = self.whiten(joined(list(groups.values())))
+        pull, score = -own.half @ absorbed.T, absorbed @ left.absorbed
+        if window is not None:
+            pull += own.window.reshape(len(pull), -1) @ window.T
+            score -= window @ left.window
+        if link is not None:
+            pull[own.linked] += own.link @ link.T
+            score -= link @ left.link
+        explained = own.explained(pull)
+        score += explained.T @ left.explained
         result, first = {}, 0
         for i, group in groups.items():
-            own = slice(first, first + group.size)
-            first = own.stop
-            explained_of_own = explained[:, own]
-            square = _gram(absorbed[own])
-            normal = part.square(own) - square
-            normal.flat[:: len(normal) + 1] += ROUNDING * (normal.diagonal() + square.diagonal())
-            normal -= explained_of_own.T @ explained_of_own
-            result[i] = normal, score[own], explained_of_own
+            rows = slice(first, first + group.size)
+            first, taken, kept = rows.stop, _gram(absorbed[rows]), explained[:, rows]
+            normal = sum(_gram(part[rows]) for part in (window, link) if part is not None) - taken
+            normal.flat[:: len(normal) + 1] += ROUNDING * (normal.diagonal() + taken.diagonal())
+            result[i] = normal - kept.T @ kept, score[rows], kept
         return result
 
-    def absorbed(self, columns: Columns) -> Array:
-        """Return Zᵀ (k, 2n) of columns."""
-        part = self._products([columns]) if isinstance(columns, Products) else self._dense([columns])
-        return forward_solved(self.factor, part.border)
-
-    def _dense(self, groups: Sequence[Columns]) -> _Part:
-        """Return the products of columns of any kind."""
-        own, left = self.estimated, self.left
-        together = joined(groups)
-        window = None if together.window is None else together.window * self.window_scale
-        link = None if together.link is None else together.link * self.link_scale
-        count = together.size
-        border = self.border(count, window, link)
-        pull, score = np.zeros((len(own.free), count)), np.zeros(count)
-        if window is not None:
-            window = window.reshape(count, -1)
-            pull += own.window.reshape(len(pull), -1) @ window.T
-            score += window @ left.window
-        if link is not None:
-            link = link.reshape(count, -1)
-            pull[own.linked] += own.link @ link.T
-            score += link @ left.link
-        parts = [part for part in (window, link) if part is not None]
-
-        def square(own: slice) -> Array:
-            result = _gram(parts[0][own])
-            for part in parts[1:]:
-                result += _gram(part[own])
-            return result
-
-        return _Part(border, pull, score, square)
-
-    def _products(self, groups: Sequence[Columns]) -> _Part:
-        """Return the products of profiles along common axes; the work on the axes is shared by all profiles."""
-        own, size = self.estimated, len(self.estimated.free)
-        products = [group for group in groups if isinstance(group, Products)]
-        axes, profiles = (
-            products[0].axes * self.window_scale,
-            np.concatenate([each.profiles for each in products]),
-        )
-        (count, _, n), transposed = axes.shape, profiles.T
-        of_axes = self.border(count, axes, None)
-        border = (profiles[:, None, None] * of_axes).reshape(-1, 2, n)
-        on_parameters = np.einsum("pin,bin->pbn", own.window, axes)
-        pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
-        score = along(self.left.window.reshape(3, n), axes) @ transposed
-        between = np.einsum("ain,bin->abn", axes, axes)
-        overlap = between.any(axis=2).tolist()
-        pairs = [(a, b) for a in range(count) for b in range(a, count) if overlap[a][b]]
-
-        def square(own: slice) -> Array:
-            some = profiles[own.start // count : own.stop // count]
-            result = np.zeros((len(some), count, len(some), count))
-            for a, b in pairs:
-                result[:, a, :, b] = (between[a, b] * some) @ some.T
-                if a != b:
-                    result[:, b, :, a] = result[:, a, :, b]
-            return result.reshape(len(some) * count, -1)
-
-        return _Part(border, pull.swapaxes(1, 2).reshape(size, -1), score.T.ravel(), square)
+    def whiten(self, columns: UnmodelledColumns) -> tuple[Array | None, Array | None, Array]:
+        """Return columns whitened: of the windows (k, 3n) and of the links (k, 3n − 3), if any, and Zᵀ (k, 2n)."""
+        window = None if columns.window is None else columns.window * self.window_scale
+        link = None if columns.link is None else columns.link * self.link_scale
+        absorbed = self.absorbed(window, link)
+        flat = (None if part is None else part.reshape(len(part), -1) for part in (window, link))
+        return *flat, absorbed  # type: ignore[return-value]
 
     def move(self, new: ColumnScore) -> Array:
         """Return S (P, k) of a group of columns."""
@@ -182,22 +130,6 @@ class ColumnProducts(WhitenedFit):
         return [moved[:, end - len(new.score) : end] for new, end in zip(groups, ends, strict=True)]
 
 
-class _Part(NamedTuple):
-    """Products of whitened columns X before the elimination.
-
-    Attributes:
-        border: (k, 2, n) with the directions' Jacobian.
-        pull: (P, k) with the parameters' Jacobian.
-        score: (k,) with the residual.
-        square: returns XᵀX of a slice of the columns.
-    """
-
-    border: Array
-    pull: Array
-    score: Array
-    square: Callable[[slice], Array]
-
-
 def _gram(rows: Array) -> Array:
     """Return the Gram matrix (k, k) of rows (k, m).
 
@@ -205,15 +137,6 @@ def _gram(rows: Array) -> Array:
     """
     result: Array = dgemm(1.0, rows.T, rows.T, trans_a=1)
     return result
-
-
-def _kind(group: Columns) -> object:
-    """Return a key that groups share if they go through the elimination together."""
-    if isinstance(group, Products):
-        return id(group.axes)
-    if isinstance(group, RateErrors):  # reading `link` would integrate the errors
-        return True, False
-    return group.window is None, group.link is None
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,13 +167,11 @@ class Stacked:
         of_windows: list[tuple[Array, slice]] = []
         of_links: list[tuple[Array, slice]] = []
         for new, own in zip(groups, rows, strict=True):
-            columns = new.make()
-            absorbed[own] = beside.absorbed(columns)
-            if columns.window is not None:
-                of_windows.append((columns.window * beside.window_scale, own))
-            link = columns.link
+            window, link, absorbed[own] = beside.whiten(new.make())
+            if window is not None:
+                of_windows.append((window, own))
             if link is not None:
-                of_links.append((link * beside.link_scale, own))
+                of_links.append((link, own))
         explained = np.concatenate([new.explained for new in groups], axis=1)
         return cls(rows, explained, absorbed, _one_below_the_other(of_windows), _one_below_the_other(of_links))
 
@@ -268,4 +189,4 @@ def _one_below_the_other(parts: Sequence[tuple[Array, slice]]) -> tuple[Array, n
     if not parts:
         return np.empty((0, 0)), np.empty(0, dtype=int)
     rows = [np.arange(own.start, own.stop) for _, own in parts]
-    return np.concatenate([part.reshape(len(part), -1) for part, _ in parts]), np.concatenate(rows)
+    return np.concatenate([part for part, _ in parts]), np.concatenate(rows)

@@ -13,7 +13,7 @@ from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 
-ROUNDS = 20  # most updates of robust weights and noise levels
+_ROUNDS = 20  # most updates of robust weights and noise levels
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
 _NOISE_STABLE = 0.4  # sigmas of a noise level that the last update may leave
@@ -51,7 +51,7 @@ def truncated(chain: FieldChain, residuals: Residuals) -> tuple[Array, Array]:
     return np.minimum(window, _WINDOW_OUTLIER), np.minimum(link, _LINK_OUTLIER)
 
 
-def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS) -> Fit:
+def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
     """Alternate updates of robust weights and noise levels with the descent until all three converge.
 
     Args:
@@ -59,9 +59,8 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
         reject: whether to down-weight windows and links beyond the 99.9 % point of their χ².
         short_term: the sensors' short-term noise, which bounds the estimated noise levels (see `improved_noise`); None
             keeps the noise levels.
-        rounds: most updates.
     """
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         residuals = fit.residuals
         weights = _reweigh(fit.chain, residuals) if reject else fit.weights
         moved = float(

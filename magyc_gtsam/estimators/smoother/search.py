@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.smoother import axes, starts
 from magyc_gtsam.estimators.smoother.dip import dip_fact
 from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, PATIENCE, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.heading import heading_fact
 from magyc_gtsam.estimators.smoother.known import PriorKnowledge, known_of
 from magyc_gtsam.estimators.smoother.minima import apart, by_a_part, lower, positive, strength
-from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit
+from magyc_gtsam.estimators.smoother.noise_levels import adapt, misfit
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.skew import on_skew, skew_from_score, skew_of, widened
@@ -38,8 +37,6 @@ _UNDISTURBED = 0.97  # mean weight of the windows from which their length is kep
 _SHORT_WINDOW = 0.5  # s, longest window if stretches are disturbed
 _LEAST_WINDOWS = 8
 _AGAIN = 6  # most fits until the linearisation of gyroscope and dip is close to the minimum
-_ROUNDS_JUMPED = 9  # updates of weights and noise levels if the field jumps
-_LEAST_EVEN = 0.5  # mean weight of the windows from which a field with jumps is uniform except in some stretches
 
 
 def fit_field_chain(
@@ -106,11 +103,6 @@ def fit_field_chain(
         progress(0.4)
         if not explained or level.magnetometer > 0.1 * strength(best):
             check_axes()  # the misfit exceeds the sensors' noise: their axes may be inconsistent
-        if not explained and field_jumps(recording):
-            # If the field jumps, nothing fits, and a descent would take many times as long without finding a minimum.
-            best = _adapted(samples, best, reject, short_term, _ROUNDS_JUMPED)
-            if best.weights.window.mean() < _LEAST_EVEN:
-                return best
         best = _adapted(samples, best, reject, short_term)
     else:
         begun = begin(chain, start[:PARAMETERS], free, patience)
@@ -210,15 +202,10 @@ def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
     return descend(begun, NEAR)
 
 
-def _adapted(
-    samples: Preintegration, fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS
-) -> Fit:
+def _adapted(samples: Preintegration, fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
     """Return the fit at the minimum for its own noise levels and weights, with integration and dip linearised there."""
     for _ in range(_AGAIN):
-        fit = adapt(fit, reject, short_term, rounds)
-        if rounds < ROUNDS:
-            return _upright(fit)
-        fit, settled = relinearised(_upright(fit))
+        fit, settled = relinearised(_upright(adapt(fit, reject, short_term)))
         if settled and not moved(fit):
             return fit
         if fit.hopeless:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,6 +14,9 @@ from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, Weights
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
+
+ROUNDING = 1e-12  # ridge added to the information, as a share of the column's squared norm; rounding is 1e-15
+_BIAS = np.arange(9, 12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +48,6 @@ class Minimum:
         return whitened, np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
 
 
-ROUNDING = 1e-12  # ridge added to the information, as a share of the column's squared norm; rounding is 1e-15
-_BIAS = np.arange(9, 12)
-
-Absorb = Callable[[int, Array, Array], Array]
-
-
 @dataclass(frozen=True, eq=False)
 class Estimated:
     """The p parameters of a fit.
@@ -73,38 +69,6 @@ class Estimated:
     half: Array
     information: Array
     pull: Array
-
-    @classmethod
-    def of(cls, fit: Minimum, window_scale: Array, link_scale: Array, absorb: Absorb) -> Estimated:
-        """Return the parameters of a fit.
-
-        Args:
-            fit: at its minimum.
-            window_scale, link_scale: 1/T and 1/rad, the factors that whiten the residuals.
-            absorb: returns Zᵀ (k, 2n), given k and whitened columns (k, 3, n) and (k, 3, n − 1).
-        """
-        reduced, size, terms = fit.reduced, len(fit.free), fit.terms
-        on_bias = np.ascontiguousarray(reduced.on_bias.swapaxes(0, 1)).reshape(3, -1)
-        half = reduced.half[:, :size].T
-        if terms is None:
-            return cls(fit.free, reduced.on_parameters, _BIAS, on_bias, half, reduced.information, np.zeros(size))
-        count, (own_window, own_link), n = terms.columns.size, terms.columns, len(fit.chain.windows)
-        window = np.zeros((count, 3, n)) if own_window is None else own_window * window_scale
-        link = np.zeros((count, 3, n - 1)) if own_link is None else own_link * link_scale
-        absorbed = absorb(count, window, link)
-        flat, flat_link = window.reshape(count, -1), link.reshape(count, -1)
-        across = reduced.on_parameters.reshape(size, -1) @ flat.T - half @ absorbed.T
-        across[_BIAS] += on_bias @ flat_link.T
-        square = flat @ flat.T + flat_link @ flat_link.T - absorbed @ absorbed.T + np.diag(terms.precision)
-        return cls(
-            np.append(fit.free, np.ones(count, dtype=bool)),
-            np.concatenate([reduced.on_parameters, window]),
-            np.append(_BIAS, np.arange(size, size + count)),
-            np.concatenate([on_bias, flat_link]),
-            np.concatenate([half, absorbed]),
-            np.block([[reduced.information, across], [across.T, square]]),
-            np.append(np.zeros(size), terms.precision * terms.value),
-        )
 
     def explained(self, products: Array) -> Array:
         """Return (free, k) the whitened components along the free parameters, given products (p, k) with all.
@@ -183,7 +147,7 @@ class WhitenedFit:
         residuals = fit.residuals
         window = residuals.window * self._residual_scale
         link = residuals.link * self.link_scale
-        absorbed = forward_solved(self.factor, self.border(1, window[None], link[None]))[0]
+        absorbed = self.absorbed(window[None], link[None])[0]
         own = self.estimated
         pull = own.window.reshape(len(own.free), -1) @ window.ravel() - own.half @ absorbed
         pull[own.linked] += own.link @ link.ravel()
@@ -212,19 +176,38 @@ class WhitenedFit:
     @cached_property
     def estimated(self) -> Estimated:
         """The columns of θ and of the terms of the model."""
+        fit, reduced, terms = self.fit, self.fit.reduced, self.fit.terms
+        size, n = len(fit.free), len(fit.chain.windows)
+        on_bias = np.ascontiguousarray(reduced.on_bias.swapaxes(0, 1)).reshape(3, -1)
+        half = reduced.half[:, :size].T
+        if terms is None:
+            none = np.zeros(size)
+            return Estimated(fit.free, reduced.on_parameters, _BIAS, on_bias, half, reduced.information, none)
+        count, (own_window, own_link) = terms.columns.size, terms.columns
+        window = np.zeros((count, 3, n)) if own_window is None else own_window * self._residual_scale
+        link = np.zeros((count, 3, n - 1)) if own_link is None else own_link * self.link_scale
+        absorbed = self.absorbed(window, link)
+        flat, flat_link = window.reshape(count, -1), link.reshape(count, -1)
+        across = reduced.on_parameters.reshape(size, -1) @ flat.T - half @ absorbed.T
+        across[_BIAS] += on_bias @ flat_link.T
+        square = flat @ flat.T + flat_link @ flat_link.T - absorbed @ absorbed.T + np.diag(terms.precision)
+        return Estimated(
+            np.append(fit.free, np.ones(count, dtype=bool)),
+            np.concatenate([reduced.on_parameters, window]),
+            np.append(_BIAS, np.arange(size, size + count)),
+            np.concatenate([on_bias, flat_link]),
+            np.concatenate([half, absorbed]),
+            np.block([[reduced.information, across], [across.T, square]]),
+            np.append(np.zeros(size), terms.precision * terms.value),
+        )
 
-        def absorb(count: int, window: Array, link: Array) -> Array:
-            return forward_solved(self.factor, self.border(count, window, link))
-
-        return Estimated.of(self.fit, self._residual_scale, self.link_scale, absorb)
-
-    def border(self, count: int, window: Array | None, link: Array | None) -> Array:
-        """Return the products (k, 2, n) of the directions' Jacobian with whitened columns."""
-        reduced = self.fit.reduced
+    def absorbed(self, window: Array | None, link: Array | None) -> Array:
+        """Return Zᵀ (k, 2n) of whitened columns (k, 3, n) of windows and (k, 3, n − 1) of links."""
+        reduced, count = self.fit.reduced, len(link if window is None else window)  # type: ignore[arg-type]
         border = np.zeros((count, 2, reduced.basis.shape[2]))
         if window is not None:
             np.einsum("ian,kin->kan", reduced.on_direction, window, out=border)
         if link is not None:
             border[:, :, 1:] += np.einsum("ian,kin->kan", reduced.after, link)
             border[:, :, :-1] += np.einsum("ian,kin->kan", reduced.before, link)
-        return border
+        return forward_solved(self.factor, border)
