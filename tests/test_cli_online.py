@@ -231,7 +231,7 @@ def test_a_recorder_that_died(log: Path, tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes(log.read_bytes()[:-30_000])
     finished = run("online", "cut.mcap", *IFG, "--idle", "0.5", "--json", "--every", "1e9", cwd=tmp_path)
     (line,) = finished.stdout.splitlines()
-    assert json.loads(line)["end"] == "no growth"
+    assert json.loads(line)["end"] == "no new data"
     assert json.loads(line)["windows"] > 80
 
 

@@ -98,7 +98,7 @@ def test_datagrams(recording: mg.Recording, online: Any) -> None:
     assert source["taken"] == 2 * (len(sent) - 1)
     assert source["missing"] == 2
     assert source["refused"] == 1
-    assert last["end"] == "no growth"
+    assert last["end"] == "no new data"
 
 
 def test_a_second_sender_is_not_listened_to() -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from magyc_gtsam import __version__
 from magyc_gtsam.cli.failures import explained
 from magyc_gtsam.cli.files import replacing_folder
-from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, shown, write_tables
+from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, labels, shown, write_tables
 from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, remove_exports
@@ -150,10 +150,12 @@ def calibrate_logs(
         show("", f"results: {folder}", f"page: {folder / 'index.html'}")
     code = max(row["exit_code"] for row in table)
     if code:
-        bad = [row for row in table if row["exit_code"]]
-        complain(f"{len(bad)} of {len(table)} logs have no trusted calibration")
-        for row in bad:
-            complain(f"{row['log']}: {row['sentence']}")
+        complain(
+            f"{sum(bool(row['exit_code']) for row in table)} of {len(table)} logs have no trusted calibration"
+        )
+        for row, label in zip(table, labels(table), strict=True):
+            if row["exit_code"]:
+                complain(f"{label}: {row['sentence']}")
     return int(code)
 
 

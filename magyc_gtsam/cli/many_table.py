@@ -59,7 +59,7 @@ def shown(table: Sequence[Row], short: bool = False) -> tuple[list[str], list[li
     if short:
         header = ["log", "s", "hard iron (µT)", "±", "heading (°)", "verdict"]
     rows = []
-    for row, label in zip(table, _labels(table), strict=True):
+    for row, label in zip(table, labels(table), strict=True):
         iron = [row[f"hard_iron_{axis}_uT"] for axis in AXES]
         sigma = [row[f"hard_iron_{axis}_sigma_uT"] for axis in AXES]
         verdict = {0: "✔ calibrated", 1: f"✘ {row['sentence']}", 2: f"refused: {row['sentence']}"}[
@@ -88,7 +88,7 @@ def _lead(table: Sequence[Row]) -> list[str]:
     return ["Use the calibrations marked ✔; the table gives the reason and the remedy for each of the others."]
 
 
-def _labels(table: Sequence[Row]) -> list[str]:
+def labels(table: Sequence[Row]) -> list[str]:
     """Return the name of each row's log, followed by the magnetometer if that was named."""
     names = distinct_names(Path(row["log"]) for row in table)
     return [f"{names[Path(row['log'])]} {row['magnetometer'] or ''}".strip() for row in table]

@@ -27,7 +27,7 @@ class EndReason(str, Enum):
     """Why a run ended."""
 
     COMPLETE = "the input is complete"
-    IDLE = "no growth"
+    IDLE = "no new data"
     INTERRUPTED = "interrupted"
 
     __str__ = str.__str__
