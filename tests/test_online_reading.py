@@ -9,7 +9,7 @@ from test_online import distance, feed
 from magyc_gtsam import OnlineCalibrator, calibrate, simulate
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, suitable_turn
 from magyc_gtsam.factors.chain.preintegration import Preintegration
-from magyc_gtsam.online import report
+from magyc_gtsam.online import smoother
 from magyc_gtsam.online.buffers import in_frame_of, joined
 
 
@@ -69,7 +69,7 @@ def test_a_long_log_is_read_from_its_end(motion, monkeypatch):
     recording = simulate(motion, duration=350, seed=9).recording
     online = feed(OnlineCalibrator(), recording)
     whole = online.calibration
-    monkeypatch.setattr(report, "_MOST_REFITTED", 10)
+    monkeypatch.setattr(smoother, "_MOST_REFITTED", 10)
     online.update(recording.time[-1] + 1e-3, recording.magnetic_field[-1] + 1e-9, recording.angular_rate[-1])
     ending = online.calibration
     assert ending.to_dict() != whole.to_dict()

@@ -1,9 +1,8 @@
-"""The estimates of the online smoother so far, and their form as arrays for the state file."""
+"""The estimates of the online smoother so far, and their form as text for the state file."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -19,8 +18,6 @@ from magyc_gtsam.online.marginal import Marginal
 from magyc_gtsam.recording import Array
 
 FIRST = 12  # windows before the first fit
-_FLAGS = ("settled", "stable", "undecided", "waiting")
-_COUNTS = ("front_at", "tail", "done", "given_up", "next_refit", "next_search", *_FLAGS)
 
 
 class Estimate(NamedTuple):
@@ -92,97 +89,52 @@ class Belief:
     drift: Drift | None = None
     clock_start: float = np.nan
 
-    def to_arrays(self) -> dict[str, Array]:
-        """Return everything as arrays for `from_arrays`."""
-        result: dict[str, Array] = {"counts": np.array([int(getattr(self, name)) for name in _COUNTS])}
-        result["origin"] = self.origin
-        reports = _calibration_to_json(self.report), _error_to_json(self.unexplained)
-        result["words"] = np.array(json.dumps([self.problem, self.doubt, self.contradictions, *reports]))
-        for name, marginal in (("past", self.past), ("head", self.head), ("front", self.front)):
-            if marginal is not None:
-                result |= {f"{name}/{k}": v for k, v in marginal._asdict().items()}
-        if self.estimate is not None:
-            result["estimate"] = np.vstack([self.estimate.parameters, self.estimate.covariance])
-            result["levels"] = np.array([*self.estimate.noise, self.estimate.colour, self.estimate.noise_freedom])
-        if self.refitted is not None:
-            result["refitted"] = self.refitted
-        if self.drift is not None:
-            rate, sigma, moved, delay, known = self.drift
-            result["drift"] = np.array([rate, sigma, moved, *delay, known])
-        result["clock_start"] = np.array(self.clock_start)
-        rows = [[c.time, c.time_sigma, *c.step, *c.step_sigma] for c in self.changes]
-        result["changes"] = np.array(rows).reshape(-1, 8)
-        result["before"] = np.array(json.dumps([_calibration_to_json(c.before) for c in self.changes]))
-        return result
+    def to_json(self) -> str:
+        """Return everything as text for `from_json`."""
+        return json.dumps(_plain(vars(self)))
 
     @classmethod
-    def from_arrays(cls, state: Mapping[str, Array]) -> Belief:
-        """Return the belief that `to_arrays` described, bit for bit."""
-        counts = dict(zip(_COUNTS, (int(v) for v in state["counts"]), strict=True))
-        problem, doubt, contradictions, report, unexplained = json.loads(str(state["words"]))
-        result = cls(
-            **counts | {name: bool(counts[name]) for name in _FLAGS},  # type: ignore[arg-type]
-            problem=problem,
-            doubt=doubt,
-            contradictions=contradictions,
-            report=_calibration_from_json(report),
-            unexplained=_error_from_json(unexplained),
-            origin=state["origin"],
-            refitted=state.get("refitted"),
-            clock_start=float(state["clock_start"]),
-        )
-        if "drift" in state:
-            rate, sigma, moved, first, last, known = state["drift"].tolist()
-            result.drift = Drift(rate, sigma, moved, (first, last), known)
-        for name in ("past", "head", "front"):
-            if f"{name}/parameters" in state:
-                setattr(result, name, Marginal(*(state[f"{name}/{k}"] for k in Marginal._fields)))
-        if "estimate" in state:
-            magnetometer, gyroscope, *colour_and_freedom = (float(v) for v in state["levels"])
-            result.estimate = Estimate(
-                state["estimate"][0].copy(),
-                state["estimate"][1:].copy(),
-                SensorNoise(magnetometer, gyroscope),
-                *colour_and_freedom,
-            )
-        before = json.loads(str(state["before"]))
-        for row, data in zip(state["changes"], before, strict=True):
-            result.changes.append(
-                Change(
-                    float(row[0]),
-                    float(row[1]),
-                    row[2:5].copy(),
-                    row[5:8].copy(),
-                    _calibration_from_json(data),
-                    None,
-                )
-            )
-        return result
+    def from_json(cls, text: str) -> Belief:
+        """Return the belief that `to_json` described, bit for bit."""
+        return cls(**_restored(json.loads(text)))
 
 
-def _error_to_json(error: ModelError | None) -> dict[str, object] | None:
-    if error is None:
-        return None
-    kinds = {"components": error.components, "possible": error.possible}
-    stored = {
-        name: [{**vars(c), "covariance": c.covariance.tolist()} for c in group] for name, group in kinds.items()
-    }
-    return {"covariance": error.covariance.tolist(), **stored}
+_TYPES: dict[str, Any] = {
+    each.__name__: each for each in (Change, Component, Drift, Estimate, Marginal, ModelError, SensorNoise)
+}
 
 
-def _error_from_json(data: dict[str, Any] | None) -> ModelError | None:
-    if data is None:
-        return None
-    components, possible = (
-        tuple(Component(**c | {"covariance": np.array(c["covariance"])}) for c in data[name])
-        for name in ("components", "possible")
-    )
-    return ModelError(np.array(data["covariance"]), components, possible)
+def _plain(value: Any) -> Any:
+    """Return a value as JSON types; arrays, tuples and instances of `_TYPES` as {name: content}."""
+    if isinstance(value, np.ndarray):
+        return {"array": [value.shape, value.ravel().tolist()]}
+    if isinstance(value, Calibration):
+        return {"Calibration": value.to_dict()}
+    if (name := type(value).__name__) in _TYPES:
+        return {name: _plain(value._asdict() if hasattr(value, "_asdict") else vars(value))}
+    if isinstance(value, tuple):
+        return {"tuple": [_plain(each) for each in value]}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
 
 
-def _calibration_to_json(calibration: Calibration | None) -> dict[str, object] | None:
-    return None if calibration is None else calibration.to_dict()
-
-
-def _calibration_from_json(data: dict[str, object] | None) -> Calibration | None:
-    return None if data is None else Calibration.from_dict(data)
+def _restored(value: Any) -> Any:
+    """Return the value that `_plain` described."""
+    if isinstance(value, list):
+        return [_restored(each) for each in value]
+    if not isinstance(value, dict):
+        return value
+    name = next(iter(value), "")
+    if name == "array":
+        shape, numbers = value[name]
+        return np.array(numbers, dtype=np.float64).reshape(shape)
+    if name == "Calibration":
+        return Calibration.from_dict(value[name])
+    if name == "tuple":
+        return tuple(_restored(value[name]))
+    if name in _TYPES:
+        return _TYPES[name](**_restored(value[name]))
+    return {key: _restored(each) for key, each in value.items()}

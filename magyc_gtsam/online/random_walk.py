@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, colour_of, descend
-from magyc_gtsam.estimators.smoother.noise_levels import adapt, weigh
+from magyc_gtsam.estimators.smoother.noise_levels import adapt, squares_and_redundancies, weigh
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
@@ -133,20 +133,7 @@ def _local_noise(windows: FieldWindows, noise: SensorNoise, parameters: Array) -
     for _ in range(_NOISE_ROUNDS):
         starts = (begin(FieldChain(part, noise), parameters, free) for part in parts)
         fits = [adapt(descend(start, NEAR), True, None) for start in starts]
-        squares, redundancy = np.sum([_squares(fit) for fit in fits], axis=0)
+        squares, redundancy = np.sum([squares_and_redundancies(fit, fit.residuals) for fit in fits], axis=0)
         noise = SensorNoise(*(np.array(noise) * np.sqrt(squares / redundancy)).tolist())
     colour = max(colour_of(np.hstack(parts)) for parts in zip(*(fit.whitened for fit in fits), strict=True))
     return noise, colour, float(redundancy[1])
-
-
-def _squares(fit: Fit) -> tuple[Array, Array]:
-    """Return the weighted squares of windows and links and their redundancies, as `improved_noise` counts them."""
-    chain, weights = fit.chain, fit.weights
-    window, link = chain.squares(chain.residuals(fit.state))
-    absorbed = fit.reduced.absorbed(fit.covariance)
-    unknowns = 2 * len(chain.windows) + int(fit.free.sum())
-    links = 2 * float(weights.link[chain.windows.linked].sum())
-    return (
-        np.array([weights.window @ window, weights.link @ link]),
-        np.array([3 * weights.window.sum() - absorbed, links - (unknowns - absorbed)]),
-    )

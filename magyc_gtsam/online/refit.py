@@ -17,11 +17,10 @@ from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
 from magyc_gtsam.factors.chain.chain_values import DELAY, SKEW
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.all_samples import fit_samples
 from magyc_gtsam.online.belief import Estimate
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
 from magyc_gtsam.online.restart import SOFT_IRON, restart_after_change, restart_at_convergence, soft_iron_changed
-from magyc_gtsam.online.state import SmootherState, continued, observable
+from magyc_gtsam.online.state import SmootherState, continued, fit_samples, observable
 from magyc_gtsam.recording import Array, Recording, Samples
 
 _MOVED = 3.0  # ratio of the field's spread to its short-term noise below which the sensor has not turned

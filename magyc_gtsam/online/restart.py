@@ -10,12 +10,11 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, descend
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.all_samples import fit_batch
 from magyc_gtsam.online.belief import FIRST
 from magyc_gtsam.online.change_point import NO_PLACE, EarlierChange, Step, find_earlier_change, find_step
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import BIAS, ContinuedChain
-from magyc_gtsam.online.state import SmootherState, continued, observable
+from magyc_gtsam.online.state import SmootherState, continued, fit_batch, observable
 from magyc_gtsam.recording import Array
 
 SOFT_IRON = slice(0, 6)

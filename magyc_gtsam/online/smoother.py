@@ -15,21 +15,31 @@ persist. Then the head joins the past, linearised within a small part of a sigma
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.online.belief import Belief
+from magyc_gtsam.estimators.model_error.component import Component
+from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant, with_drift
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.noise_levels import adapt
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise, suitable_turn
+from magyc_gtsam.estimators.smoother.search import disturbed, moved, with_skew
+from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS
+from magyc_gtsam.factors.chain.field_chain import FieldChain
+from magyc_gtsam.online.belief import FIRST, Belief
 from magyc_gtsam.online.buffers import IntegratedWindows
-from magyc_gtsam.online.change_point import SMALLEST, find_step
+from magyc_gtsam.online.change_point import LARGE, SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
-from magyc_gtsam.online.random_walk import advance_filter
-from magyc_gtsam.online.refit import SHORTEST_TAIL, on_one_clock, refit
-from magyc_gtsam.online.report import changes_until, current_calibration, has_converged, progress_of
+from magyc_gtsam.online.excitation import coverage
+from magyc_gtsam.online.random_walk import advance_filter, fit_random_walk
+from magyc_gtsam.online.recent_change import recent_change
+from magyc_gtsam.online.refit import REFIT_GROWTH, SHORTEST_TAIL, drift_of, on_one_clock, refit, testable
 from magyc_gtsam.online.restart import restart
-from magyc_gtsam.online.state import OnlineOptions, SmootherState, continued
+from magyc_gtsam.online.state import OnlineOptions, SmootherState, continued, fit_samples
 from magyc_gtsam.recording import Array, Samples
 
 _EVERY = 6  # windows between two fits of the tail
@@ -37,6 +47,14 @@ _LONGEST_TAIL, _LONGEST_UNDECIDED = 56, 168  # windows
 _MOST_SAMPLES = 131072  # largest number of samples kept per sensor, for any horizon
 _NO_WALK = 6.0  # sigmas of a random walk beyond which a change counts as a step
 _MOST_WALKED = 400  # largest number of windows kept if parameters walk at random
+_MOST_REFITTED = (
+    2400  # largest number of windows fitted at reading; longer logs keep the last refit's noise levels
+)
+_LEAST_CONVERGED = 120  # fewest windows of the last refit; noise levels from fewer give no reliable covariance
+_UNDECIDED = (
+    f"the hard iron may have changed by more than {LARGE:.0%} of the field in the last seconds: "
+    "keep turning until that is decided"
+)
 
 
 class OnlineSmoother:
@@ -122,36 +140,113 @@ class OnlineSmoother:
             online.begin_at(int(numbers[len(numbers) // 4]))
 
     def calibration(self) -> Calibration | None:
-        """See `Engine.calibration`."""
+        """See `Engine.calibration`.
+
+        It is that of all samples so far, or in a long log that of the tail given all windows before. While a large step
+        is possible but not decided, it would mix the hard irons before and after it and is not trusted.
+        """
         if not self._fresh:
-            self._read, self._fresh = current_calibration(self._online, self._integrated), True
+            found = self._of_samples_so_far()
+            if found is not None and found.converged and self._online.belief.waiting:
+                found = replace(found, converged=False, message=_UNDECIDED)
+            self._read, self._fresh = found, True
         return self._read
 
+    def _of_samples_so_far(self) -> Calibration | None:
+        online, belief = self._online, self._online.belief
+        if belief.head is None:
+            return belief.report
+        ending = online.recording(None, belief.tail)
+        if belief.past is None and belief.front is None and len(online.numbers()) <= _MOST_REFITTED:
+            doubts = (
+                prior_contradictions(online.recording(None), online.fit_options) if online.prior_applies else []
+            )
+            recording, fit = ending, self._refit_all()
+            if fit is None:
+                recording = online.recording(None)
+                fit, _ = fit_samples(online, recording, False)
+            calibration = online.result(recording, fit, change=self._recent_change(fit), doubts=doubts)
+            # The clock drift of the last refit, or of all windows if that found none.
+            drift = belief.drift
+            if drift is None and testable(online, len(fit.chain.windows)) and drift_is_significant(fit):
+                drift = drift_of(online, online.recording(None), fit, calibration.converged)
+            return with_drift(calibration, drift)
+        stop = int(online.buffer.numbers[-1]) + 1
+        fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
+        change = self._recent_change(fit)
+        calibration = online.result(ending, fit, belief.tail, online.last, change, belief.contradictions)
+        return with_drift(calibration, belief.drift)
+
+    def _recent_change(self, fit: Fit) -> Component | None:
+        """Return the error by a recent change of the iron; None if it is not looked for, or walks at random."""
+        settings = self._online.settings
+        return recent_change(fit) if settings.detect_changes and not settings.walks else None
+
+    def _refit_all(self) -> Fit | None:
+        """Fit all windows with their noise levels and weights; return None if they must be cut or integrated again."""
+        online, settings, buffer = self._online, self._online.settings, self._online.buffer
+        if settings.turn is None and suitable_turn(buffer.magnetometer.value) != buffer.turn:
+            return None
+        windows, parameters = (
+            self._integrated.of(buffer, online.belief.origin),
+            online.last.parameters[:PARAMETERS],
+        )
+        short_term = short_term_noise(buffer) if settings.noise is None else None
+        # Start from the sensors' short-term noise, as the batch method does, so that both end at the same tolerance.
+        chain = FieldChain(windows, short_term or online.last.noise, facts=online.facts())
+        initial = begin(chain, parameters, settings.free(parameters))
+        fit = adapt(descend(initial, NEAR), settings.reject, short_term)
+        # Descend once more, since a start this near leaves the directions at their initial values.
+        fit = descend(replace(fit, reduced=fit.chain.eliminate(fit.state, fit.weights)))
+        prior, known = online.skew
+        if prior is not None:
+            fit = with_skew(fit, lambda wide: adapt(wide, settings.reject, short_term), prior, known)
+        newly_disturbed = buffer.length == settings.window and disturbed(fit)
+        return None if moved(fit) or (settings.reject and newly_disturbed) else fit
+
     def converged(self) -> bool:
-        """See `Engine.converged`."""
-        return has_converged(self._online) and not self._online.belief.waiting
+        """See `Engine.converged`: the last refit had enough windows and changed the estimate little."""
+        belief = self._online.belief
+        return belief.stable and belief.next_refit >= int(REFIT_GROWTH * _LEAST_CONVERGED) and not belief.waiting
 
     def progress(self) -> Progress:
         """See `Engine.progress`."""
-        return progress_of(self._online, self.calibration())
+        online, belief, calibration = self._online, self._online.belief, self.calibration()
+        windows = belief.given_up + len(online.numbers())
+        seen = 0.0 if calibration is None else coverage(calibration, self.field())
+        weak = calibration.observability.weak if calibration and calibration.observability else ()
+        converged = self.converged()
+        if belief.problem:
+            sentence = belief.problem
+        elif calibration is None:
+            sentence = f"collecting: {windows} of {FIRST} windows"
+        elif not calibration.converged:
+            sentence = calibration.message
+        elif not converged:
+            sentence = f"the estimate still changes: {weak[0].sentence if weak else 'keep turning'}"
+        else:
+            sentence = "converged"
+        return Progress(None, 0.0, windows, converged, sentence, weak, seen)
 
     def field(self) -> Array:
         """See `Engine.field`."""
         return self._online.buffer.magnetometer.value
 
     def changes(self) -> tuple[Change, ...]:
-        """See `Engine.changes`."""
-        return changes_until(self._online, self.calibration()) if self._online.belief.changes else ()
+        """See `Engine.changes`; each step has the calibration that followed it."""
+        changes = self._online.belief.changes
+        if not changes:
+            return ()
+        after = [*(change.before for change in changes[1:]), self.calibration()]
+        return tuple(replace(change, after=now) for change, now in zip(changes, after, strict=True))
 
     def state(self) -> Mapping[str, Array]:
         """See `Engine.state`."""
         buffer = {f"buffer/{name}": value for name, value in self._online.buffer.state().items()}
-        return buffer | {f"belief/{name}": value for name, value in self._online.belief.to_arrays().items()}
+        return buffer | {"belief": np.array(self._online.belief.to_json())}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """See `Engine.restore`."""
         online = self._online
         online.buffer.restore({k.removeprefix("buffer/"): v for k, v in state.items() if k.startswith("buffer/")})
-        online.belief = Belief.from_arrays(
-            {k.removeprefix("belief/"): v for k, v in state.items() if k.startswith("belief/")}
-        )
+        online.belief = Belief.from_json(str(state["belief"]))

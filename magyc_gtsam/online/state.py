@@ -15,18 +15,27 @@ from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.known import known_of
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.estimators.smoother.search import skew_prior
+from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
+from magyc_gtsam.estimators.smoother.search import (
+    fit_field_chain,
+    refit_field_chain,
+    shortened,
+    skew_prior,
+    with_skew,
+)
 from magyc_gtsam.estimators.smoother.skew import SkewPriorFact, skew_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
 from magyc_gtsam.estimators.smoother.smoother import calibration_of
 from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact
+from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.belief import FIRST, Belief, Estimate
 from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain
 from magyc_gtsam.recording import Array, Recording
 
+_NOISE_WINDOWS = 60  # fewest windows after a step for which noise levels are estimated
 # Options of the batch method that need the whole recording, or channels that no stream has.
 _NOT_ONLINE = ("gyroscope_scale", "soft_iron_walk", "heading", "declination")
 
@@ -246,3 +255,38 @@ def continued(fit: Fit) -> ContinuedChain:
 def observable(calibration: Calibration) -> bool:
     """Return whether the motion determined the calibration."""
     return calibration.observability is not None and calibration.observability.observable
+
+
+def fit_batch(recording: Recording, start: Array | None, options: SmootherOptions) -> tuple[Fit, Preintegration]:
+    """Return the fit and the windows, from `start` (13,) or without a start.
+
+    Raises:
+        MagycError: the axes of the sensors disagree, or there are too few data.
+    """
+    fit = fit_field_chain(recording, options, start=start)
+    samples = preintegrate(recording, options.window, options.turn)
+    if len(samples.starts) != len(fit.chain.windows):  # windows are shorter in disturbed stretches
+        samples = preintegrate(recording, shortened(options.window), options.turn)
+    return fit, samples
+
+
+def fit_samples(online: SmootherState, recording: Recording, search: bool) -> tuple[Fit, Preintegration]:
+    """Fit all samples kept, from the estimate or, for a search, without a start; return the fit and the windows."""
+    belief, settings = online.belief, online.settings
+    if belief.past is None:
+        start = None if search or belief.estimate is None else belief.estimate.parameters
+        return fit_batch(recording, start, online.fit_options)
+    parameters, noise = online.last.parameters[:PARAMETERS], online.last.noise
+    samples = online.buffer.windows(int(online.buffer.numbers[0]), belief.done, online.delay)
+    fewer = len(samples.starts) < _NOISE_WINDOWS or settings.noise is not None
+    short_term = None if fewer else short_term_noise(recording)
+    windows = samples.integrate(parameters[BIAS], online.delay)
+    initial = begin(
+        ContinuedChain(windows, short_term or noise, belief.past), parameters, settings.free(parameters)
+    )
+
+    def refitted(fit: Fit) -> Fit:
+        return refit_field_chain(samples, fit, settings.reject, short_term)
+
+    fit, (prior, known) = refitted(initial), online.skew
+    return fit if prior is None else with_skew(fit, refitted, prior, known), samples

@@ -19,7 +19,7 @@ from magyc_gtsam.recording import Array
 from magyc_gtsam.storage.paths import expect_path
 from magyc_gtsam.storage.whole_file import whole_file
 
-_FORMAT = "magyc-gtsam online state 15"
+_FORMAT = "magyc-gtsam online state 16"
 
 
 def write(

@@ -110,23 +110,11 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
         The noise, what the step leaves of a level in its sigmas, and the links' redundancy D with that of the prior.
         A step of Newton's method leaves half its square in log σ², whose variance is 2 over its information.
     """
-    chain, weights, reduced = fit.chain, fit.weights, fit.reduced
-    window, link = chain.squares(residuals)
-    covariance = fit.covariance
+    chain, covariance = fit.chain, fit.covariance
     if not np.isfinite(covariance).all():  # no residual depends on a parameter: the redundancies are undefined
         return chain.noise, 0.0, fit.noise_freedom
-    absorbed = reduced.absorbed(covariance)
-    unknowns = float(2 * len(chain.windows) + fit.free.sum())
-    if chain.facts:  # prior knowledge uses up no redundancy of the data
-        unknowns -= float(np.sum(covariance * quadratic(chain.facts, fit.state.parameters)[2]))
-    squares = np.array([weights.window @ window, weights.link @ link])
-    redundancy = np.array(
-        [
-            3 * weights.window.sum() - absorbed,
-            2 * weights.link[chain.windows.linked].sum() - (unknowns - absorbed),
-        ]
-    )
-    shared = explained(fit, residuals.window / chain.window_sigma * np.sqrt(weights.window), covariance)
+    squares, redundancy = squares_and_redundancies(fit, residuals)
+    shared = explained(fit, residuals.window / chain.window_sigma * np.sqrt(fit.weights.window), covariance)
     information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
     gradient = squares - redundancy
     level = np.array(chain.noise)
@@ -147,6 +135,21 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     better = np.clip(level * np.exp(0.5 * np.clip(step, -2.0, 2.0)), low, high)
     left = 2 * np.log(better / level)[kept] ** 2 * np.sqrt(0.5 * information.diagonal()[kept])
     return SensorNoise(*better.tolist()), float(left.max()), freedom
+
+
+def squares_and_redundancies(fit: Fit, residuals: Residuals) -> tuple[Array, Array]:
+    """Return the weighted squares Q (2,) of windows and links, and their redundancies D (2,)."""
+    chain, weights = fit.chain, fit.weights
+    window, link = chain.squares(residuals)
+    absorbed = fit.reduced.absorbed(fit.covariance)
+    unknowns = float(2 * len(chain.windows) + fit.free.sum())
+    if chain.facts:  # prior knowledge uses up no redundancy of the data
+        unknowns -= float(np.sum(fit.covariance * quadratic(chain.facts, fit.state.parameters)[2]))
+    links = 2 * weights.link[chain.windows.linked].sum()
+    return (
+        np.array([weights.window @ window, weights.link @ link]),
+        np.array([3 * weights.window.sum() - absorbed, links - (unknowns - absorbed)]),
+    )
 
 
 def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
