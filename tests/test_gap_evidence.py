@@ -12,10 +12,10 @@ from scipy.stats import multivariate_normal
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import DRIFT, Batch, Candidates, settings_of
+from magyc_gtsam.gap.evidence.candidates import DRIFT, Batch, Candidates
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
 from magyc_gtsam.gap.evidence.neighbours import neighbours, product_of
@@ -25,6 +25,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.rules import RULES
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60
@@ -285,13 +286,13 @@ def test_a_saturation_is_no_cubic_beside_it(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("duration", "orders"), [(5, [0]), (30, [0, 4]), (50, [0, 4, 8]), (120, [0, *PRIOR.modes])]
+    ("duration", "orders"), [(5, [0]), (30, [0, 4]), (50, [0, 4, 8]), (120, [0, *RULES.drift_modes])]
 )
 def test_a_drift_is_a_line_or_slow(duration: int, orders: list[int]) -> None:
     """Its modes have periods of 12 s and longer."""
     recording = mg.simulate("wide", duration, seed=1).recording
     twin = base_model(recording, None, short_term_noise(recording)).twin
-    assert [one["order"] for one in settings_of(twin, DRIFT)] == orders
+    assert [one["order"] for one in TERMS[DRIFT].settings(twin)] == orders
 
 
 @pytest.mark.parametrize("seed", [6, 9, 10])

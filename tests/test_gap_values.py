@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.effects.forms import FORMS
+from magyc_gtsam.factors.effects.forms import FORMS, per_axis
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects.term import measured
 from magyc_gtsam.gap.model.refit import spread
@@ -78,7 +78,7 @@ def test_several_plates_beside_a_delay() -> None:
     """Any matrix of eddy currents is a delay and one of trace zero."""
     random = np.random.default_rng(2)
     signals = Signals(np.arange(50.0), field_rate=random.standard_normal((3, 50)))
-    whole = FORMS["eddy-plane"].columns(signals, {"full": 1.0})
+    whole = -per_axis(signals.need("field_rate"))
     uneven = FORMS["eddy-plane"].columns(signals, {"uneven": 1.0})
     late = FORMS["timing"].columns(signals, {})
     value = random.standard_normal((3, 3))

@@ -135,13 +135,11 @@ def _eddy_plane(s: Signals, setting: Setting) -> Array:
     """Return the columns of eddy currents E = value normalᵀ.
 
     A change of the field across a plate drives currents, whose own field may point in another direction. The setting
-    `full` admits any E (9 values, column by column), for several plates or a bent one; `uneven` any E of trace zero,
-    which contains no delay (8 values, without the last of the diagonal).
+    `uneven`, for several plates or a bent one, admits any E of trace zero, which contains no delay (8 values, column by
+    column, without the last of the diagonal).
     """
-    if setting.get("full") or setting.get("uneven"):
+    if setting.get("uneven"):
         columns = -per_axis(s.need("field_rate"))
-        if setting.get("full"):
-            return columns
         columns[[0, 4]] -= columns[8]
         return columns[:8]
     normal = np.array([setting["x"], setting["y"], setting["z"]])

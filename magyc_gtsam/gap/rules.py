@@ -98,7 +98,13 @@ class Rules:
     block: float = 10.0  # s, of a held-out block at most
     knots_apart: float = 4.0  # s between knots of a spline in time, at least
     one_vector: int = 3  # values; more are determined unequally by a motion, and need a prior from the data
-    unlike_delay: float = 0.7  # times a delay, by which plates differ from it: one plate by 2.4, one per axis by 0
+    # modes of a drift, beside a straight line: the slow part of a random walk, smooth or less; with 24 a jump of 6 µT
+    # that was added to a walk with a phone was called a drift; with 12 alone six of 18 smooth drifts of 1.5 to 4 µT are
+    # named, with 4 or 12 fifteen
+    drift_modes: tuple[int, ...] = (4, 12)
+    # s, shortest period of these modes: with 7 s a jump in a log of 28 s was called a drift, with 25 s correlated noise
+    # was named beside a drift in one of 51 s (edition 332); 9 to 17 s name both
+    drift_period: float = 12.0
     far_from_zero: float = 30.0  # deviations above which a channel's 0 need not be the point without current
     clipped_loss: float = (
         0.12  # share lost beyond a level by clipping; a smaller loss is a slight bend, a gain is neither

@@ -18,7 +18,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech, vech
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Candidates, settings_of, what_matters
+from magyc_gtsam.gap.evidence.candidates import Candidates, what_matters
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.result import Assumption, Effect, Gap
@@ -189,7 +189,7 @@ def _estimates(fitted: Refit, found: Collection[str]) -> dict[str, tuple[Array, 
     twin = fitted.twin
     # Values at different settings are different quantities.
     names = [name for name, term in TERMS.items() if name not in found and not term.missing(twin)]
-    candidates = Candidates.of(twin, [name for name in names if len(settings_of(twin, name)) == 1], ())
+    candidates = Candidates.of(twin, [name for name in names if len(TERMS[name].settings(twin)) == 1], ())
     result = {}
     for name, one in weigh(candidates, Beside.of_model(twin)).items():
         value, covariance = one.estimate

@@ -8,7 +8,6 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.rules import RULES
 
 
 def directions() -> list[dict[str, float]]:
@@ -31,9 +30,8 @@ def directions_nearby(setting: Setting) -> list[dict[str, float]]:
 
 
 def _plates(twin: Twin) -> list[dict[str, float]]:
-    """Return single plates, and a full matrix of eddy currents; beside a delay the matrix has no multiple of I."""
-    late = any(active.name == "timing" for active in twin.model.terms)
-    return [*directions(), {"uneven" if late else "full": 1.0}]
+    """Return single plates, and any matrix of eddy currents without the part that is a delay."""
+    return [*directions(), {"uneven": 1.0}]
 
 
 def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
@@ -41,17 +39,8 @@ def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
-    """Return whether the matrix E can be that of plates: they delay the field, and not equally on every axis.
-
-    A lead is not a plate, and equal values on the diagonal are a delay.
-    """
-    if "x" in setting:
-        return float(np.array([setting[a] for a in AXES]) @ value) > 0
-    if not setting.get("full"):
-        return True
-    matrix = value.reshape(3, 3)
-    delay = float(np.trace(matrix)) / 3
-    return delay > 0 and float(np.linalg.norm(matrix - delay * np.eye(3))) > RULES.unlike_delay * delay
+    """Return whether the values can be those of a plate, which delays the field: a lead is not a plate."""
+    return "x" not in setting or float(np.array([setting[a] for a in AXES]) @ value) > 0
 
 
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:

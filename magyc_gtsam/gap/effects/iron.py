@@ -15,7 +15,6 @@ from magyc_gtsam.gap.rules import RULES
 _STEPS = 100  # times at which a step is tried
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s, lags of the sensor's temperature behind the thermometer
 _ENDS = 16  # times at which a magnetic object may be attached or removed
-_FEW_MODES, _MANY_MODES = (0, 2, 4, 6), (9, 12)  # of a drift
 _MARGIN = 4  # windows at both ends where a step cannot be distinguished from noise
 
 
@@ -78,10 +77,10 @@ def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _drifts(twin: Twin) -> list[dict[str, float]]:
+    """Return a straight line, and the slow part of a random walk in a few modes or more."""
     start, end = float(twin.time[0]), float(twin.time[-1])
-    known = any(term.name == "hard-iron-drift" for term in twin.model.terms)
-    # Many modes would fit any change; they are used only once a drift is in the model.
-    orders = _MANY_MODES if known else _FEW_MODES
+    most = int(2 * (end - start) / RULES.drift_period)
+    orders = sorted({0, *(min(modes, most) for modes in RULES.drift_modes)})
     return [{"order": float(order), "start": start, "end": end} for order in orders]
 
 

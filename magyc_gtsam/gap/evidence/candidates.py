@@ -120,30 +120,16 @@ def _batches(columns: Array, groups: Mapping[int, Sequence[Part]]) -> Iterator[B
 def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
     for name in (name for name in names if name in TERMS):
         if not TERMS[name].missing(twin):
-            settings = settings_of(twin, name)
+            settings = TERMS[name].settings(twin)
             if settings:
                 yield at_settings(twin, name, settings)
-
-
-def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
-    """Return the grid over which an effect is averaged.
-
-    A drift is a straight line or the slow part of a random walk. Plates have a matrix without the part that is common
-    to all directions, which is a delay.
-    """
-    if name != DRIFT:
-        return [{"uneven": 1.0} if setting.get("full") else setting for setting in TERMS[name].settings(twin)]
-    ends = {"start": float(twin.time[0]), "end": float(twin.time[-1])}
-    duration = float(twin.time[-1] - twin.time[0])
-    most = int(2 * duration / PRIOR.drift_period)
-    return [{"order": float(order)} | ends for order in sorted({0, *(min(modes, most) for modes in PRIOR.modes)})]
 
 
 def with_each_drift(model: Model, twin: Twin) -> Iterator[Model]:
     """Yield a model, and the same with other numbers of modes of its drift, which depend on the effects beside it."""
     yield model
     for index, term in enumerate(model.terms):
-        for setting in settings_of(twin, term.name) if term.name == DRIFT else ():
+        for setting in TERMS[DRIFT].settings(twin) if term.name == DRIFT else ():
             order = int(setting["order"])
             if order and term.setting["order"] and order != term.setting["order"]:
                 terms = list(model.terms)

@@ -55,11 +55,6 @@ class Prior:
             attitude alone. In five logs with an effect put in (edition 332), names that are not there have 0.03 to 0.06
             of its power, one has 0.08; a misalignment and scales that two logs of a unit agree in have 0.07 to 0.08.
         profile_field, profile_rate: smallest value of a generic profile that matters, T and rad/s.
-        modes: of a drift, beside a straight line: the slow part of a random walk, smooth or less so. With 24 a jump of
-            6 µT that was added to a walk with a phone was called a drift; with 12 alone six of 18 smooth drifts of
-            1.5 to 4 µT are named, with 4 or 12 fifteen.
-        drift_period: s, shortest period of these modes. With 7 s a jump in a log of 28 s was called a drift, with 25 s
-            correlated noise was named beside a drift in one of 51 s (edition 332); 9 to 17 s name both.
         depth, beam: largest number of effects in a set, beside a varying field, and candidates that extend each set.
         nodes, most: largest number of fitted sets, without and with the sets in which rivals were exchanged.
         close: nats below the best set beyond which a set is not extended.
@@ -94,8 +89,6 @@ class Prior:
     form_of_field: float = 0.06
     profile_field: float = 0.3e-6
     profile_rate: float = 1e-3
-    modes: tuple[int, ...] = (4, 12)
-    drift_period: float = 12.0
     depth: int = 6
     nodes: int = 10
     most: int = 16

@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import Beside, solved
-from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings, settings_of, what_matters
+from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings, what_matters
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import neighbours
 from magyc_gtsam.gap.evidence.weighing import information_of
@@ -120,7 +120,7 @@ class OneLog:
     def tests_at(self, name: str, settings: Sequence[Mapping[str, float]]) -> tuple[Test, ...]:
         """Return the tests of an effect at settings of other logs, with this log's own references."""
         twin = self.refitted.twin
-        own = [] if TERMS[name].missing(twin) else settings_of(twin, name)
+        own = [] if TERMS[name].missing(twin) else TERMS[name].settings(twin)
         if not own:
             return ()
         here = {k: v for k, v in own[0].items() if k in _OF_THE_LOG or k.startswith("reference")}
