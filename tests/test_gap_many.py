@@ -24,7 +24,7 @@ LOGS = 10
 def _tests(values: np.ndarray, sigma: float = 1.0) -> list[dict[str, tuple[OneTest, ...]]]:
     """One test of a log each, of estimates (logs, k) with a deviation."""
     return [
-        {"misalignment": (OneTest({}, float(v @ v) / sigma**2, len(v), np.eye(len(v)) / sigma**2, v / sigma**2),)}
+        {"misalignment": (OneTest.of("misalignment", {}, np.eye(3) / sigma**2, v / sigma**2, np.full(3, 0.5)),)}
         for v in values
     ]
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.twin import Twin
 
 LEAST = 1e-7  # of the largest information, below which a direction is left out
@@ -67,10 +68,14 @@ class Beside:
         return cls(noise, len(rows), len(flat), rows, unit, residual / noise, lower, inner, solved)
 
     @classmethod
-    def of_model(cls, twin: Twin) -> Beside:
-        """Marginalise the parameters and terms of a model, none with a prior."""
+    def of_model(cls, twin: Twin, variation: FieldVariation | None = None) -> Beside:
+        """Marginalise the parameters and terms of a model, none with a prior, and a variation of the field."""
         rows = twin.base_columns
-        return cls.of(twin.residual().ravel(), rows, rows[:0], np.zeros(0), twin.base_score_bias)
+        components = rows[:0] if variation is None else variation.components
+        noise = 1.0 if variation is None else variation.noise
+        score_bias = np.concatenate([twin.base_score_bias, np.zeros(len(components))])
+        variance = np.full(len(components), noise**2)
+        return cls.of(twin.residual().ravel(), rows, components, variance, score_bias, noise)
 
     def with_effects(self, columns: Array, variance: Array, score_bias: Array) -> Beside:
         """Marginalise the columns (k, 3n) of effects, with variances (k,) and score bias (k,), too."""
@@ -136,15 +141,3 @@ class Beside:
         value = solve_triangular(self._lower, self._solved, lower=True, trans=1)
         result: Array = value[self.before :] @ self._rows[self.before :]
         return result
-
-
-def solved(information: Array, score: Array, size: Array | None = None) -> tuple[Array, int]:
-    """Return the values (k,) of an information (k, k) and score (k,) in any units, and the rank of the information.
-
-    `size`: (k,) squared lengths of the columns before marginalisation, of which some must be left.
-    """
-    scale = 1 / np.sqrt(np.maximum(np.diag(information) if size is None else size, 1e-300))
-    weight, vector = np.linalg.eigh(information * scale * scale[:, None])
-    kept = weight > LEAST * weight[-1]
-    value = scale * ((vector[:, kept] / weight[kept]) @ (vector[:, kept].T @ (scale * score)))
-    return value, int(kept.sum())

@@ -10,8 +10,10 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import InLog, SharedEffect
+from magyc_gtsam.gap.outcome.described import FIELD_VARIES
 
 _FIRST = 4  # logs that a sentence names
 
@@ -38,7 +40,43 @@ def told(
         logs: the logs with their models.
         calibrations: {log: calibration of its model}, whose terms state the values, with the model error.
     """
-    return tuple(_effect(each, logs, calibrations) for each in added if any(s is not None for s in each.settings))
+    return tuple(
+        _variation(each, logs) if each.name == FIELD_VARIATION else _effect(each, logs, calibrations)
+        for each in added
+        if any(s is not None for s in each.settings)
+    )
+
+
+def _variation(each: AddedEffect, logs: Sequence[OneLog]) -> SharedEffect:
+    """Return the field of the place that varies, with its size in each log."""
+    inside = tuple(
+        InLog(
+            log.name,
+            float(p),
+            np.array([np.hypot(log.variation.along, log.variation.attitude) * 1e6]),
+            np.full(1, np.nan),
+            {"period": log.variation.period},
+        )
+        for log, p in zip(logs, each.present, strict=True)
+        if log.variation is not None
+    )
+    sentence = f"from the place, {_where(inside, len(logs))}: {FIELD_VARIES}"
+    return SharedEffect(
+        each.name,
+        FIELD_VARIES,
+        "place",
+        0.0,
+        np.zeros(0),
+        np.zeros(0),
+        ("size",),
+        "µT",
+        {},
+        each.evidence,
+        float("nan"),
+        each.rivals,
+        inside,
+        sentence,
+    )
 
 
 def _effect(each: AddedEffect, logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]) -> SharedEffect:
@@ -105,10 +143,15 @@ def _sentence(
     count: int,
 ) -> str:
     term = TERMS[each.name]
-    rivals = ", ".join(LABELS[name] for name in each.rivals)
+    rivals = ", ".join(LABELS.get(name, FIELD_VARIES) for name in each.rivals)
     also = f" (or {rivals}: these logs cannot distinguish them)" if rivals else ""
     if each.instrument >= 0.5:
         said = term.sentence(value, sigma, setting, rows) if len(value) else term.label
         return f"in the instrument, the same in all logs: {said}{also}"
+    return f"from the place or the day, {_where(inside, count)}: {term.label}{also}"
+
+
+def _where(inside: Sequence[InLog], count: int) -> str:
+    """Return the logs in words."""
     names = ", ".join(log.log for log in inside[:_FIRST]) + (" and others" if len(inside) > _FIRST else "")
-    return f"from the place or the day, in {len(inside)} of {count} logs ({names}): {term.label}{also}"
+    return f"in {len(inside)} of {count} logs ({names})"

@@ -11,13 +11,14 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.evidence.generic import families
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.many.described import AddedEffect, told
 from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
 from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight
-from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh
-from magyc_gtsam.gap.model.refit import widened
+from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh, weigh_variation
+from magyc_gtsam.gap.model.refit import refit, widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.verdict import among, missing
@@ -117,7 +118,8 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
         return replace(state, unknown=strongest.name), False
     if not more:
         return replace(state, unknown=strongest.name), False
-    return _with_effect(state, strongest, _alternatives(weighed)), True
+    added = _with_variation if strongest.name == FIELD_VARIATION else _with_effect
+    return added(state, strongest, _alternatives(weighed)), True
 
 
 def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs, ...]:
@@ -129,7 +131,7 @@ def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs
             if pooled and found.get(name):
                 found[name] = (*found[name], *log.tests_at(name, pooled))
     every = dict.fromkeys(name for found in tests for name in found)
-    weighed = [weigh(name, tests) for name in every]
+    weighed = [*(weigh(name, tests) for name in every), weigh_variation([log.varying[0] for log in logs])]
     return tuple(sorted((w for w in weighed if _possible(w, logs)), key=lambda each: -each.nats))
 
 
@@ -142,8 +144,7 @@ def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
     for log, best, present in zip(logs, weighed.best, weighed.present, strict=True):
         if best is None or not (shared or present > MODEL.has_it):
             continue
-        value = np.linalg.pinv(best.information, hermitian=True) @ best.score
-        value, setting = (weighed.value, weighed.setting) if shared else (value, best.setting)
+        value, setting = (weighed.value, weighed.setting) if shared else (best.value, best.setting)
         said.append(TERMS[weighed.name].possible(log.refitted.twin, value, setting))
     return not said or float(np.mean(said)) >= MODEL.mostly
 
@@ -153,7 +154,7 @@ def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
     keys = [{test.key for test in tests} for tests in of_log if tests]
     if len(keys) < 2 or set.intersection(*keys):
         return []
-    best = [max(tests, key=lambda test: test.statistic - 2 * test.rank) for tests in of_log if tests]
+    best = [max(tests, key=lambda test: float(test.nats.max())) for tests in of_log if tests]
     if any("time" in test.setting or "start" in test.setting for test in best):
         return []
     return list({test.key: dict(test.setting) for test in best}.values())
@@ -206,7 +207,7 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
             settings.append(None)
             present.append(float(probability))
             continue
-        setting, value = dict(best.setting), np.linalg.pinv(best.information, hermitian=True) @ best.score
+        setting, value = dict(best.setting), best.value
         if instrument and chosen.name not in OF_THE_INSTRUMENT:
             references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
             setting = references | {k: v for k, v in chosen.setting.items() if not k.startswith("reference")}
@@ -232,6 +233,20 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
     return replace(state, logs=tuple(logs), own=(*state.own, *own), added=(*before, one))
 
 
+def _with_variation(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _State:
+    """Add a varying field to the logs that have it."""
+    here = [
+        log.varying[1] is not None and p > MODEL.has_it for log, p in zip(state.logs, chosen.present, strict=True)
+    ]
+    logs = tuple(
+        replace(log, variation=log.varying[1]) if own else log for log, own in zip(state.logs, here, strict=True)
+    )
+    settings: tuple[dict[str, float] | None, ...] = tuple({} if own else None for own in here)
+    # The gain in evidence is mostly that of a higher level of noise.
+    one = AddedEffect(chosen.name, sum(log.of_field for log in logs), 0.0, chosen.present, settings, rivals)
+    return replace(state, logs=logs, added=(*state.added, one))
+
+
 def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
     calibrations = {log.name: _calibration(log) for log in state.logs}
     effects = (*told(state.added, state.logs, calibrations), *noise)
@@ -251,5 +266,5 @@ def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
 
 def _calibration(log: OneLog) -> Calibration:
     """Return the calibration with the effects as terms; covariance and verdict include the remaining misfit."""
-    fitted = widened(log.refitted)
+    fitted = widened(refit(log.refitted.twin.problem, log.refitted.model, log.short_term))
     return judged(as_calibration(fitted, None), fitted, log.recording, None)[0]

@@ -9,11 +9,9 @@ from magyc_gtsam.gap.effects import MOMENTS
 
 @dataclass(frozen=True)
 class ManyModel:
-    """The prior of the effects, and the thresholds for a name.
+    """The thresholds for a name over many logs; the prior of the effects is that of one log (`evidence.prior`).
 
     Attributes:
-        sizes: prior variances of an effect's values, equally probable, in squared sigmas of one log: from hardly
-            detectable in one log to evident.
         shares: shares of the logs that have an effect of the place or the day, equally probable.
         sure: nats of evidence from which something is missing. The strongest of all hypotheses over ten clean logs has
             −1.9 to 0.7 nats (9 such sets of wide and moderate motion).
@@ -29,12 +27,10 @@ class ManyModel:
         plain: probability from which an effect without a name is attributed to a log.
         mostly: share of the logs in which a value must be possible.
         least: number of logs needed for a comparison.
-        much: statistic from which the best effect of a log is left out of the estimate of its autocorrelation.
         settled: nats for and against effects that are detected with certainty: exchanged axes, held values, coarse
             steps.
     """
 
-    sizes: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
     shares: tuple[float, ...] = (0.1, 0.5, 0.9)
     sure: float = 3.0
     lead: float = 3.0
@@ -48,7 +44,6 @@ class ManyModel:
     plain: float = 0.9
     mostly: float = 0.5
     least: int = 2
-    much: float = 60.0
     settled: float = 20.0
 
 

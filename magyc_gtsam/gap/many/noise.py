@@ -1,8 +1,8 @@
 """Effects on the noise or the rows over many logs: attributed to the instrument if most logs have them.
 
-The gain in log-likelihood of each log has two parameters and is treated as a score of rank 2. A tone is the largest of
-many lines: its p-value p has the evidence ∫ κ p^(κ−1) dκ = (1 − p + p ln p) / (p ln² p) relative to no effect (Sellke,
-Bayarri and Berger 2001). Exchanged axes, held values and coarse steps are detected with certainty or not at all.
+The evidence of each log is its gain in log-likelihood beyond chance. A tone is the largest of many lines: its p-value p
+has the evidence ∫ κ p^(κ−1) dκ = (1 − p + p ln p) / (p ln² p) relative to no effect (Sellke, Bayarri and Berger 2001).
+Exchanged axes, held values and coarse steps are detected with certainty or not at all.
 """
 
 from __future__ import annotations
@@ -11,19 +11,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import InLog, SharedEffect
-from magyc_gtsam.gap.many.weighing import mixture, nats_of
-from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.many.weighing import mixture
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
 _NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "coloured-noise")
 _FITTED = ("coloured-noise", "spikes")
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
-_RANK = 2
 _LEAST = 1e-3  # nats of evidence below which a p-value counts as 1
 
 
@@ -39,16 +36,16 @@ def noise_effects(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[SharedE
 
 
 def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, NoiseScore]]) -> SharedEffect | None:
-    sizes = np.array(MODEL.sizes)
     own = [each.get(name) for each in scores]
-    rows = [np.full(len(sizes), -MODEL.settled) if one is None else _nats(one, sizes) for one in own]
-    evidence, present, everywhere = mixture(np.array([rows]).transpose(0, 2, 1))
+    untested = 0.0 if name in _FITTED else -MODEL.settled
+    nats = [untested if one is None else _nats(one) for one in own]
+    evidence, present, everywhere = mixture(np.array(nats)[None, None])
     here = [
         (log, one, float(p))
         for log, one, p in zip(logs, own, present, strict=True)
         if one is not None and p > MODEL.has_it
     ]
-    if not here or not _of_its_form(name, [one for _, one, _ in here]):
+    if not here:
         return None
     scale = 1e6 if name in _IN_TESLA else 1.0
     each = np.array([np.linalg.norm(one.value) * scale for _, one, _ in here])
@@ -76,21 +73,14 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
     )
 
 
-def _nats(score: NoiseScore, sizes: Array) -> Array:
-    """Return the evidence (sizes,) of one log, nats."""
+def _nats(score: NoiseScore) -> float:
+    """Return the evidence of one log, nats."""
+    if score.evidence > MODEL.alone and not score.significant:
+        return -MODEL.settled  # strong, but not of the effect's form
     if score.name in _FITTED:
-        return nats_of(score.statistic, _RANK, sizes)
+        return score.evidence
     if score.name == "tone":
         surprise = max(score.evidence, _LEAST)
         p = np.exp(-min(surprise, 600.0))
-        return np.full(len(sizes), np.log(1 - p - p * surprise) + surprise - 2 * np.log(surprise))
-    return np.full(len(sizes), MODEL.settled if score.significant else -MODEL.settled)
-
-
-def _of_its_form(name: str, scores: Sequence[NoiseScore]) -> bool:
-    """Return whether autocorrelated noise is noise: not a drift of unknown cause, and not along one axis."""
-    if name != "coloured-noise":
-        return True
-    times = [score.setting["correlation_time"] for score in scores]
-    ways = [score.setting["one_way"] for score in scores]
-    return bool(np.median(times) < RULES.longest_colour and np.median(ways) < RULES.one_way)
+        return float(np.log(1 - p - p * surprise) + surprise - 2 * np.log(surprise))
+    return MODEL.settled if score.significant else -MODEL.settled

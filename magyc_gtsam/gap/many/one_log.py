@@ -1,53 +1,70 @@
-"""One log of many: its model at the minimum, and the score and information of each effect, which add over logs."""
+"""One log of many: its model at the minimum, and the evidence of each effect beside it, which adds over logs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import colour_of
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.beside import Beside, solved
-from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings, what_matters
+from magyc_gtsam.gap.evidence.beside import LEAST, Beside
+from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings, what_matters
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import neighbours
-from magyc_gtsam.gap.evidence.weighing import information_of
+from magyc_gtsam.gap.evidence.noise import singles_of
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale, scales_of
 from magyc_gtsam.gap.many.model import MODEL
-from magyc_gtsam.gap.model.base import base_model, needs_gyroscope, problem_of
-from magyc_gtsam.gap.model.problem import Active, Problem
+from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
+from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
+from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.gap.preparation.discrete import settled
-from magyc_gtsam.gap.samples.fine import fine_innovations, noise_scores
-from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.samples.fine import fine_innovations
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 
-_LARGE = 1e3  # prior deviation in units of what matters, with which an effect explains all that it can
 _OF_THE_LOG = ("start", "end")  # settings that belong to one recording, as the references of channels do
 
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """The score test of an effect at one setting, after projection on the complement of the log's own calibration.
+    """An effect at one setting, beside the model of a log.
 
     Attributes:
         setting: of the grid search.
-        statistic, rank: squared length of the score in its sigmas, and its number of values.
+        nats: (S,) gain in log evidence, at each scale of the values that is possible.
         information, score: (k, k) and (k,) of the values, SI: the estimate is information⁻¹ score.
+        unit: (k,) smallest value that matters, SI.
     """
 
     setting: Mapping[str, float]
-    statistic: float
-    rank: int
+    nats: Array
     information: Array
     score: Array
+    unit: Array
+
+    @classmethod
+    def of(cls, name: str, setting: Mapping[str, float], information: Array, score: Array, unit: Array) -> Test:
+        """Return the test of an effect, or of a family without a name, from the information and score of its values."""
+        weight, vector = np.linalg.eigh(information * np.outer(unit, unit))
+        likely, along = scales_of(name), vector.T @ (score * unit)
+        nats = nats_by_scale((name,), np.maximum(weight, 0.0)[None], along[None])[0, likely]
+        return cls(setting, nats - np.log(len(likely) / likely.sum()), information, score, unit)
+
+    @property
+    def value(self) -> Array:
+        """Return the estimate (k,), SI."""
+        inverse = np.linalg.pinv(self.information * np.outer(self.unit, self.unit), rcond=LEAST, hermitian=True)
+        result: Array = self.unit * (inverse @ (self.score * self.unit))
+        return result
 
     @property
     def key(self) -> tuple[tuple[str, float], ...]:
@@ -68,20 +85,18 @@ class OneLog:
     Attributes:
         name: of the log.
         recording: with its axes and rows corrected.
-        problem: its data.
         short_term: noise of the sensors from sample to sample.
-        refitted: the model at its minimum.
+        refitted: the model at its minimum, with this noise.
+        variation: of the field of the place, if that is in the model.
         discrete: effects that were detected and corrected before the estimation.
-        notes: sentences on what was left out.
     """
 
     name: str
     recording: Recording
-    problem: Problem
     short_term: SensorNoise
     refitted: Refit
+    variation: FieldVariation | None = None
     discrete: tuple[NoiseScore, ...] = ()
-    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str], name: str) -> OneLog:
@@ -91,24 +106,48 @@ class OneLog:
             MagycError: no gyroscope, or data that cannot be calibrated.
         """
         needs_gyroscope(recording)
-        usable = without_faults(recording, ("magnetic_field", "angular_rate"))
-        data, unlogged = without_channel_holes(usable.recording)
+        data, _ = without_channel_holes(without_faults(recording, ("magnetic_field", "angular_rate")).recording)
         data, discrete = settled(data, names)
         short_term = short_term_noise(data)
         base = base_model(data, None, short_term)
-        return cls(name, data, problem_of(data), short_term, base, discrete, (*usable.left_out, *unlogged))
+        white = fine_innovations(data, base.model).white
+        if quantisation(data, white).significant:  # steps hide the noise between neighbouring samples
+            short_term = short_term._replace(magnetometer=max(short_term.magnetometer, white))
+        start = refit(base.twin.problem, replace(base.model, noise=short_term), None)
+        return cls(name, data, short_term, start, discrete=discrete)
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
         """Return the log with one more effect in the model, after a joint refit.
 
         Raises:
-            MagycError: the refit does not converge.
+            MagycError: an effect whose values are too large for the readings.
         """
         model = with_term(self.refitted.model, Active(name, dict(setting), value))
-        fitted = refit(self.problem, model, self.short_term)
-        if not fitted.converged:
-            raise MagycError(f"{self.name}: the model with {name} does not converge")
-        return replace(self, refitted=fitted)
+        fitted = refit(self.refitted.twin.problem, model, None)
+        return replace(self, refitted=fitted, variation=self.variation and field_variation(fitted.twin))
+
+    @cached_property
+    def beside(self) -> Beside:
+        """The model, marginalised: parameters and terms without a prior, and the variation of the field."""
+        return Beside.of_model(self.refitted.twin, self.variation)
+
+    @cached_property
+    def varying(self) -> tuple[float, FieldVariation | None]:
+        """The gain in log evidence by a variation of the field that is not in the model, and the variation."""
+        left, freedom = self.beside.left(), 3 * self.refitted.twin.n - len(self.refitted.twin.base_columns)
+        misfit = float(left @ left) / freedom
+        if self.variation is not None or misfit < 1 + PRIOR.misfit * np.sqrt(2 / freedom):
+            return 0.0, None
+        variation = field_variation(self.refitted.twin)
+        return variation.gain - float(np.log(COMBINATIONS)), variation
+
+    @property
+    def of_field(self) -> float:
+        """Return half the power that the variation of the field explains, nats at its level of noise."""
+        if self.variation is None:
+            return 0.0
+        plain, left = Beside.of_model(self.refitted.twin).left() / self.beside.noise, self.beside.left()
+        return 0.5 * max(float(plain @ plain - left @ left), 0.0)
 
     def tests(self, names: Sequence[str]) -> dict[str, tuple[Test, ...]]:
         """Return {effect or generic family: its tests at all settings}."""
@@ -128,29 +167,27 @@ class OneLog:
         return self._tested(Candidates.of_parts(twin, [at_settings(twin, name, asked)])).get(name, ())
 
     def _tested(self, candidates: Candidates) -> dict[str, tuple[Test, ...]]:
-        """Return {name: its tests}; autocorrelation, without what the best named effect explains, widens variances."""
-        twin, beside = self.refitted.twin, Beside.of_model(self.refitted.twin)
-        seen = beside.see(candidates.columns, candidates.score_bias)
-        best, most, made = beside, MODEL.much, []
-        for batch in candidates.batches:
-            information = information_of(batch, beside.noise, seen.reach)
-            for i, name in enumerate(batch.names):
-                rows = batch.rows[i]
-                value, rank = solved(information[i], seen.score[rows], np.diag(batch.gram[i]))
-                gain = float(seen.score[rows] @ value)
-                if name in TERMS and gain - 2 * rank > most:
-                    most, large = gain - 2 * rank, np.full(len(rows), _LARGE**2)
-                    best = beside.with_effects(candidates.columns[rows], large, candidates.score_bias[rows])
-                made.append((name, batch.settings[i], gain, rank, information[i], seen.score[rows]))
-        colour = colour_of(best.left().reshape(3, -1))
+        twin, noise = self.refitted.twin, self.beside.noise
+        seen = self.beside.see(candidates.columns, candidates.score_bias)
         tests: dict[str, tuple[Test, ...]] = {}
-        for name, setting, gain, rank, each, score in made:
-            unit = what_matters(twin, name, setting, len(score)) if name in TERMS else np.ones(len(score))
-            information, own = each / np.outer(unit, unit) / colour, -score / unit / colour
-            tests[name] = (*tests.get(name, ()), Test(dict(setting), gain / colour, rank, information, own))
+        for batch in candidates.batches:
+            information = information_of(batch, noise, seen.reach)
+            for i, name in enumerate(batch.names):
+                score, setting = -seen.score[batch.rows[i]], batch.settings[i]
+                unit = what_matters(twin, name, setting, len(score)) if name in TERMS else np.ones(len(score))
+                own = Test.of(name, dict(setting), information[i] / np.outer(unit, unit), score / unit, unit)
+                tests[name] = (*tests.get(name, ()), own)
         return tests
 
     def noise(self) -> dict[str, NoiseScore]:
-        """Return {effect on the noise, or corrected before the estimation: its test} for the present model."""
-        fine = fine_innovations(self.recording, self.refitted.model)
-        return {score.name: score for score in (*self.discrete, *noise_scores(self.recording, fine, MODEL.alone))}
+        """Return {effect on the noise, or corrected before the estimation: its test} for the present model.
+
+        Beside a varying field, which correlates the innovations, correlated noise cannot be tested.
+        """
+        fine, singles = singles_of(self.recording, self.refitted.model)
+        scores = {
+            score.name: score for score in (*self.discrete, quantisation(self.recording, fine.white))
+        } | singles
+        if self.variation is None:
+            scores[COLOUR] = coloured_noise(fine.calm, fine.rate, fine.level, MODEL.alone)
+        return scores

@@ -40,6 +40,14 @@ class Fine(NamedTuple):
         """Return the standard deviation of their white part, T, to which a slow misfit does not add."""
         return self.level * min(1.0, float(np.sqrt(0.5 * (np.diff(self.innovation, axis=1) ** 2).mean())))
 
+    @property
+    def calm(self) -> Array:
+        """Return the innovations with outliers clipped, which would otherwise add a comb of lines and hide colour."""
+        length = np.sqrt((self.innovation**2).sum(axis=0))
+        calm = self.innovation * np.minimum(1.0, 4.0 / np.maximum(length, 1e-12))
+        result: Array = calm / np.sqrt((calm**2).mean())
+        return result
+
 
 def fine_innovations(recording: Recording, model: Model) -> Fine:
     """Return the innovations of a model on a recording, with one window per magnetometer sample."""
@@ -70,7 +78,7 @@ def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseSc
     """Return the tests of all effects on the noise."""
     return [
         *single_scores(fine, limit),
-        coloured_noise(_calm(fine), fine.rate, fine.level, limit),
+        coloured_noise(fine.calm, fine.rate, fine.level, limit),
         quantisation(recording, fine.white),
     ]
 
@@ -78,13 +86,4 @@ def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseSc
 def single_scores(fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
     """Return the tests for wrong samples and for a tone."""
     spiky = spikes(fine.innovation, fine.level, limit)
-    return spiky, tone(_calm(fine), fine.time, fine.level, limit, fine.edge)
-
-
-def _calm(fine: Fine) -> Array:
-    """Return the innovations with outliers clipped, which would otherwise add a comb of lines and hide colour."""
-    v = fine.innovation
-    length = np.sqrt((v**2).sum(axis=0))
-    calm = v * np.minimum(1.0, 4.0 / np.maximum(length, 1e-12))
-    result: Array = calm / np.sqrt((calm**2).mean())
-    return result
+    return spiky, tone(fine.calm, fine.time, fine.level, limit, fine.edge)
