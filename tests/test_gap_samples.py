@@ -13,7 +13,7 @@ from scipy.stats import chi2
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES, TERMS
-from magyc_gtsam.gap.evidence.beside import Beside, solved
+from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
@@ -214,7 +214,8 @@ def test_a_fitted_scale_leaves_no_score_bias() -> None:
         made = Candidates.of_parts(twin, [at_settings(twin, "gyro-scale", [{}])])
         rest = weigh(made, Beside.of_model(twin))["gyro-scale"]
         statistics.append(rest.statistic)
-        assert solved(rest.information, rest.score, np.diag(made.batches[0].gram[0]))[1] == 5
+        left = np.linalg.eigvalsh(rest.information) > 1e-7 * np.diag(made.batches[0].gram[0]).max()
+        assert left.sum() == 5
     assert np.mean(statistics) < 10
     assert max(statistics) < chi2.isf(1e-4, 5)
 
