@@ -13,7 +13,7 @@ from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.naming.found import Found, term_places
-from magyc_gtsam.gap.outcome.step_time import step_time_sigma
+from magyc_gtsam.gap.outcome.step_time import step_time_sigmas
 from magyc_gtsam.gap.result import Effect
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
@@ -24,14 +24,6 @@ _OPEN = "named, not corrected: this motion does not determine all of its values"
 _UNPAID = (
     "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )
-
-
-def _setting(refitted: Refit, index: int) -> dict[str, float]:
-    """Return the setting of a term; of a step with the standard deviation of its time."""
-    term = refitted.model.terms[index]
-    if term.name != "hard-iron-step":
-        return dict(term.setting)
-    return {**term.setting, "time_sigma": step_time_sigma(refitted, index)}
 
 
 def _noise_sentence(noise: NoiseScore) -> str:
@@ -75,14 +67,14 @@ def describe(
         uncorrected: places in `found` of effects that are named only.
         unpaid: places of those among them whose correction gains nothing.
     """
-    indices = term_places(found, refitted.model)
+    indices, times = term_places(found, refitted.model), step_time_sigmas(refitted)
 
     def why(place: int) -> str:
         if place not in uncorrected:
             return ""
         return _UNPAID if place in unpaid else _OPEN
 
-    effects = (_described(one, refitted, indices.get(place), why(place)) for place, one in enumerate(found))
+    effects = (_described(one, refitted, indices.get(place), times, why(place)) for place, one in enumerate(found))
     return tuple(replace(effect, probability=probabilities.get(effect.name, 0.0)) for effect in effects)
 
 
@@ -104,13 +96,14 @@ def with_model_error(effects: Sequence[Effect], fitted: Refit, calibration: Cali
     return tuple(result)
 
 
-def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Effect:
+def _described(found: Found, refitted: Refit, index: int | None, times: Mapping[int, float], why: str) -> Effect:
     """Return an effect.
 
     Args:
         found: the effect.
         refitted: the model that contains it.
         index: place among the model's terms; None for an effect that is not a term.
+        times: {index of a step: standard deviation of its time, s}.
         why: the reason why it is not corrected; empty if it is.
     """
     if found.noise is not None:
@@ -121,7 +114,9 @@ def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Ef
     else:
         assert index is not None
         value, covariance = refitted.value_of(index)
-        sigma, setting = np.sqrt(np.diag(covariance)), _setting(refitted, index)
+        sigma, setting = np.sqrt(np.diag(covariance)), dict(refitted.model.terms[index].setting)
+        if index in times:
+            setting["time_sigma"] = times[index]
         term = TERMS[found.name]
         rows = term.rows(refitted.twin, setting)
         unit, scale, parameters = term.unit, term.scale, term.names(len(value), rows)

@@ -9,23 +9,29 @@ import numpy as np
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
 from magyc_gtsam.gap.evidence.weighing import information_of
-from magyc_gtsam.gap.model.field_variation import field_variation
+from magyc_gtsam.gap.model.field_variation import FieldVariation, field_variation
 from magyc_gtsam.gap.model.refit import Refit, without_term
 
 _REACH = 60.0  # s on each side
 _FEWEST = 12  # windows on each side
 
 
-def step_time_sigma(refitted: Refit, index: int) -> float:
-    """Return the standard deviation of the time of the model's step `index`, s, profiled over all other parameters."""
+def step_time_sigmas(refitted: Refit) -> dict[int, float]:
+    """Return {index of each step of a model: standard deviation of its time, s}, profiled over all other parameters."""
+    steps = [index for index, term in enumerate(refitted.model.terms) if term.name == "hard-iron-step"]
+    if not steps:
+        return {}
+    variation = field_variation(refitted.twin)  # it makes the time of a change less certain
+    return {index: _sigma(refitted, index, variation if variation.evident else None) for index in steps}
+
+
+def _sigma(refitted: Refit, index: int, variation: FieldVariation | None) -> float:
     twin = refitted.twin
     term = twin.model.terms[index]
     value, _ = refitted.value_of(index)
     own = twin.whiten(twin.columns(term.name, term.setting))
     rows = replace(twin, model=without_term(twin.model, index)).base_columns
-    components, noise, variation = rows[:0], 1.0, field_variation(twin)
-    if variation.evident:  # it makes the time of a change less certain
-        components, noise = variation.components, variation.noise
+    components, noise = (rows[:0], 1.0) if variation is None else (variation.components, variation.noise)
     variance, none = np.full(len(components), noise**2), np.zeros(len(rows) + len(components))
     beside = Beside.of(twin.residual().ravel() - value @ own, rows, components, variance, none, noise)
     edges = 0.5 * (twin.time[1:] + twin.time[:-1])
