@@ -21,11 +21,14 @@ class HeadingUncertainty:
     Attributes:
         systematic: deg, due to the calibration's covariance and shared by all samples; None without a covariance or
             above 90°.
+        tilted: deg, the same of the vehicle pitched or rolled by `TILT`, at most 90; None without recording or
+            covariance.
         per_sample: deg, due to the magnetometer's noise in one sample; None if the noise is unknown or above 90°.
     """
 
     systematic: float | None
     per_sample: float | None
+    tilted: float | None = None
 
     @classmethod
     def of(cls, recording: Recording, calibration: Calibration) -> HeadingUncertainty:
@@ -34,10 +37,13 @@ class HeadingUncertainty:
         soft_iron, covariance = calibration.soft_iron, calibration.covariance
         misalignment = MisalignmentError.of(calibration.diagnostics)
         noise = calibration.noise.get("magnetic_field")
-        return cls(
-            None if covariance is None else _known(turn.systematic(covariance, soft_iron, misalignment)),
-            None if not noise else _known(turn.per_sample(noise, soft_iron)),
-        )
+        level = None if covariance is None else turn.systematic(covariance, soft_iron, misalignment)
+        sample = turn.per_sample(noise, soft_iron) if noise else None
+        tilted = None
+        if covariance is not None:
+            turns = (each.systematic(covariance, soft_iron, misalignment) for each in turn.tilted())
+            tilted = min(max(float(each.max()) for each in turns), UNKNOWN_FROM)
+        return cls(None if level is None else _known(level), None if sample is None else _known(sample), tilted)
 
     @classmethod
     def stated(cls, calibration: Calibration) -> HeadingUncertainty:
@@ -47,7 +53,7 @@ class HeadingUncertainty:
 
     def to_dict(self) -> Mapping[str, float | None]:
         """Return the fields as JSON types, with units in the names."""
-        return {"systematic_deg": self.systematic, "per_sample_deg": self.per_sample}
+        return {"systematic_deg": self.systematic, "per_sample_deg": self.per_sample, "tilted_deg": self.tilted}
 
 
 def turn_of(recording: Recording, calibration: Calibration) -> LevelTurn:

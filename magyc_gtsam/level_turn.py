@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from magyc_gtsam.factors.chain.median import median
-from magyc_gtsam.factors.chain.rotations import cross
+from magyc_gtsam.factors.chain.rotations import cross, exponential_matrices
 from magyc_gtsam.factors.chain.vech import UPPER
 from magyc_gtsam.recording import Array, Recording
 
@@ -20,6 +20,7 @@ _DEFAULT_DIP = 60.0  # deg, as in middle latitudes; used if the recording shows 
 # Ratio of the two smallest variances of the field below which it sweeps about an axis. Simulated at dips of 20, 60 and
 # 85°: 0.001 to 0.06 on ships, cars and multirotors, 0.03 to 0.33 on a diving vehicle, 0.31 to 0.96 in a hand.
 _FLAT = 0.1
+TILT = 20.0  # deg, of a vehicle that is not level
 _STEPS = 120  # number of headings of a turn
 _HEADING = np.linspace(0.0, 360.0, _STEPS + 1)
 _HEADING.flags.writeable = False
@@ -85,6 +86,14 @@ class LevelTurn:
             misalignment: uncertainty of the rotation between magnetometer and gyroscope.
         """
         return self.spread(covariance, self.slopes(soft_iron), misalignment)
+
+    def tilted(self) -> list[LevelTurn]:
+        """Return the turn with the vehicle pitched and rolled by ±`TILT`, through the same headings."""
+        axes = np.radians(TILT) * np.stack([self.left, -self.left, self.ahead, -self.ahead], axis=1)
+        return [
+            replace(self, field=self.field @ turn, ahead=self.ahead @ turn, left=self.left @ turn)
+            for turn in np.moveaxis(exponential_matrices(axes), 2, 0)
+        ]
 
     def slopes(self, soft_iron: Array) -> Array:
         """Return the derivative (n, 9) of heading, rad, with respect to vech(soft_iron) and hard_iron."""

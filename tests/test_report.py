@@ -17,6 +17,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import with_minus
 from magyc_gtsam.heading_uncertainty import turn_of
+from magyc_gtsam.level_turn import TILT
 from magyc_gtsam.observability import Observability, Weakness
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import write_report
@@ -120,6 +121,16 @@ def test_level_turn_is_the_error_of_the_raw_heading() -> None:
     error = np.arctan2(-raw[:, 1], raw[:, 0]) - np.arctan2(-level[:, 1], level[:, 0])
     largest = np.degrees(np.abs(np.angle(np.exp(1j * error)))).max()
     assert np.abs(turn.raw_error(SOFT_IRON, HARD_IRON)).max() == pytest.approx(largest, abs=0.3)
+
+
+def test_a_hard_iron_along_the_vertical_turns_the_heading_of_a_tilted_vehicle_only() -> None:
+    turn = turn_of(simulated(), good())
+    off = 2e-6 * np.cross(turn.ahead, turn.left)
+    level, *tilted = (np.ptp(each.error(each.field + off)) for each in (turn, *turn.tilted()))
+    assert level < 0.01
+    horizontal = np.linalg.norm(FIELD) * np.cos(np.radians(turn.dip))
+    expected = 2 * np.degrees(2e-6 * np.sin(np.radians(TILT)) / horizontal)
+    np.testing.assert_allclose(tilted, expected, rtol=0.05)
 
 
 def test_zeros_in_place_of_an_acceleration_are_no_vertical() -> None:

@@ -12,10 +12,14 @@ from magyc_gtsam.estimators.field_jumps import beyond_turning, field_jumps
 from magyc_gtsam.estimators.smoother.known import ENOUGH
 from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.heading_uncertainty import HeadingUncertainty
+from magyc_gtsam.level_turn import TILT
 from magyc_gtsam.recording import Recording
 
 _STILL = 5e-6  # T, sweep of the field below which the instrument did not move
 _INTERVAL = "choose an interval without it (start=, end=)"
+_MATTERS = (
+    1.0  # deg, by which the heading error of a tilted vehicle exceeds that of a level one if both are stated
+)
 _MODEL_ERROR = "what the model does not explain"
 
 
@@ -113,6 +117,8 @@ def _worth(calibration: Calibration, heading: HeadingUncertainty) -> str:
         systematic = "systematic heading error unknown (1σ beyond 90°)"
     else:
         systematic = f"systematic heading error at most {degrees(heading.systematic)} (1σ)"
+        if heading.tilted is not None and heading.tilted > heading.systematic + _MATTERS:
+            systematic += f", level; {degrees(heading.tilted)} when tilted by {TILT:.0f}°"
     if heading.per_sample is None:
         return systematic
     return f"{systematic}; single samples {degrees(heading.per_sample)} by sensor noise"
