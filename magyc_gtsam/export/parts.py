@@ -2,88 +2,97 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from magyc_gtsam.export.ardupilot import motors_of
-from magyc_gtsam.export.correction import Array
+from magyc_gtsam.export.correction import Correction, degrees
 from magyc_gtsam.factors.effects.corrections import corrected_field
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.factors.errors import MagycError
 
+_SMALLEST_ROTATION = 1e-6  # rad; less is rounding
 _ROTATIONS = ("misalignment", "axis-order")  # terms that turn the field to the gyroscope's axes
 
 
-class Parts(NamedTuple):
-    """The arguments of `export` that depend on the terms."""
-
-    hard_iron: Array
-    gyro_bias: Array | None
-    terms: Sequence[str]
-    rotation: Array | None
-    motor: Array | None
-    motors: Array | None
-    thermal: Array | None
-    reference: float
-    warming_gyro: Array | None
-    gyro_reference: float
-
-
-def parts_of(
-    terms: Sequence[Term], hard_iron: Array, gyro_bias: Array | None, target: str, per_motor: bool
-) -> Parts:
-    """Assign each term to the parameter that a target has for it.
+def with_terms(
+    bare: Correction, terms: Sequence[Term], target: str, per_motor: bool
+) -> tuple[Correction, list[str]]:
+    """Return a correction with each term in the parameter that a target has for it, and the names of the others.
 
     Args:
+        bare: matrix, offset and gyroscope bias of the calibration.
         terms: of the calibration.
-        hard_iron: (3,) T.
-        gyro_bias: (3,) rad/s, or None.
         target: "px4", "ardupilot", "vectornav" or "ros".
         per_motor: the channels of current are outputs of motors, each with separate compensation.
     """
     missing: list[str] = []
-    motor, motors, thermal, reference = None, None, None, 0.0
-    warming_gyro, gyro_reference = None, 0.0
+    found: dict[str, Any] = {}
+    offset, gyro_bias = bare.offset, bare.gyro_bias
     in_its_axes = all(term.name != "axis-order" for term in terms)
     for term in terms:
         exchanged = term.name == "axis-order"
+        steady = len(term.value) == 3 and not term.setting.get("lag")
         if exchanged and gyro_bias is not None:
             gyro_bias = term.value.reshape(3, 3).T @ gyro_bias  # from the magnetometer's axes to the gyroscope's
-        if term.name == "motor-current" and per_motor and motors is None and target == "ardupilot":
-            motors, at_rest = motors_of(term.value, term.setting)
-            hard_iron = hard_iron - at_rest
-        elif term.name == "motor-current" and len(term.value) == 3 and not per_motor and motor is None:
-            motor = term.value
-            reference_current = sum(term.setting.values())  # at most one: the term has one channel
-            hard_iron = hard_iron - motor * reference_current
-        elif term.name == "temperature-hard-iron" and len(term.value) == 3 and not term.setting.get("lag"):
-            thermal, reference = term.value, term.setting.get("reference_0", 0.0)
-        elif (
-            term.name == "temperature-gyro"
-            and len(term.value) == 3
-            and not term.setting.get("lag")
-            and in_its_axes
-        ):
-            warming_gyro, gyro_reference = term.value, term.setting.get("reference_0", 0.0)
+        if term.name == "motor-current" and per_motor and "motors" not in found and target == "ardupilot":
+            found["motors"], at_rest = motors_of(term.value, term.setting)
+            offset = offset - at_rest
+        elif term.name == "motor-current" and len(term.value) == 3 and not per_motor and "motor" not in found:
+            found["motor"] = term.value
+            offset = offset - term.value * sum(term.setting.values())  # at most one: the term has one channel
+        elif term.name == "temperature-hard-iron" and steady:
+            found |= {"thermal": term.value, "reference": term.setting.get("reference_0", 0.0)}
+        elif term.name == "temperature-gyro" and steady and in_its_axes:
+            found |= {"warming_gyro": term.value, "gyro_reference": term.setting.get("reference_0", 0.0)}
         elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
             term.side is not None and term.name != "misalignment"
         ):  # a term without a side that is not an exchange of axes concerns only the noise
             missing.append(term.name)
     rotations = [term for term in terms if term.name in _ROTATIONS]
-    rotation = None
     if rotations:
         rotation = corrected_field(np.eye(3), np.eye(3), np.zeros(3), rotations, Signals(np.zeros(3)))
-    return Parts(
-        hard_iron,
-        gyro_bias,
-        missing,
-        rotation,
-        motor,
-        motors,
-        thermal,
-        reference,
-        warming_gyro,
-        gyro_reference,
+        if np.radians(degrees(rotation)) > _SMALLEST_ROTATION:
+            found["rotation"] = rotation
+    return replace(bare, offset=offset, gyro_bias=gyro_bias, **found), missing
+
+
+_COMPASSES = {"px4": 4, "ardupilot": 3}  # number of compasses with parameters; other targets correct one sensor
+_CUSTOM_ROTATIONS = 2  # of ArduPilot
+
+
+def numbered(lines: list[str], target: str, compass: int) -> list[str]:
+    """Return the lines of an export with the parameter names of the given compass, counted from 1.
+
+    Raises:
+        MagycError: the target has no such compass, or has a parameter of the export only for the first ones.
+    """
+    count = _COMPASSES.get(target)
+    if count is None or compass == 1:
+        return lines
+    if not isinstance(compass, int) or not 1 <= compass <= count:
+        raise MagycError(f"compass: must be 1 to {count} for {target}, got {compass!r}")
+    if target == "px4":
+        slot = f"CAL_MAG{compass - 1}"
+        renamed = [re.sub(r"\b(CAL_MAG|TC_M)0_", rf"\g<1>{compass - 1}_", line) for line in lines]
+        return [f"# Of compass {compass} in the log: {slot}_ID must be its device id.", *renamed]
+    if compass > _CUSTOM_ROTATIONS and any(line.startswith("CUST_ROT1_") for line in lines):
+        raise MagycError(
+            f"compass {compass}: ArduPilot has only {_CUSTOM_ROTATIONS} custom rotations; mount it straight"
+        )
+    if any(line.startswith("COMPASS_PMOT_EN") for line in lines):
+        raise MagycError(f"compass {compass}: ArduPilot compensates per motor only for the first compass")
+    renames = (
+        (r"\bCOMPASS_(OFS|DIA|ODI|MOT)_", rf"COMPASS_\g<1>{compass}_"),
+        (r"\bCOMPASS_ORIENT([ ,])101\b", rf"COMPASS_ORIENT{compass}\g<1>{100 + compass}"),
+        (r"\bCOMPASS_(SCALE|ORIENT)\b", rf"COMPASS_\g<1>{compass}"),
+        (r"\bCUST_ROT1_", f"CUST_ROT{compass}_"),
     )
+    for old, new in renames:
+        lines = [re.sub(old, new, line) for line in lines]
+    return lines
