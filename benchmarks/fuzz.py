@@ -27,7 +27,7 @@ import numpy as np
 import magyc_gtsam as mg
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.live.json_lines import JsonLines
+from magyc_gtsam.live.line_sources import JsonLines
 from magyc_gtsam.live.mcap_follow import McapFollower
 from magyc_gtsam.live.source import LiveSource
 

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 import magyc_gtsam as mg
-from magyc_gtsam.study.heading import heading_error
+from magyc_gtsam.study.outcome import heading_error
 
 UNITS = {
     "A": ("01", "04", "06"),

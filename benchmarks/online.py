@@ -25,8 +25,7 @@ from real_recordings import INTERVALS
 
 import magyc_gtsam as mg
 from magyc_gtsam.factors.chain.vech import vech
-from magyc_gtsam.study.bound import cramer_rao
-from magyc_gtsam.study.efficiency import BLOCKS, FREEDOMS, error, nees
+from magyc_gtsam.study.efficiency import BLOCKS, FREEDOMS, cramer_rao, error, nees
 
 MOTIONS = ("wide", "moderate", "low", "tiny")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import magyc_gtsam as mg
-from magyc_gtsam.study.heading import heading_error
+from magyc_gtsam.study.outcome import heading_error
 
 INTERVALS = {  # s, the parts that move; the magnet is attached from 41.5 to 92 s
     "broad_01_slow_rotation": (34, 160),

@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 
 from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.storage.whole_file import whole_file
+from magyc_gtsam.storage.files import whole_file
 
 Row: TypeAlias = dict[str, Any]
 Work: TypeAlias = Callable[[Any], Row]

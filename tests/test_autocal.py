@@ -1,6 +1,7 @@
 """`autocal`: its algebra against the paper's, its minimum against GTSAM's, its results against simulated truth."""
 
 from dataclasses import replace
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -19,6 +20,7 @@ from magyc_gtsam.simulation import disturb
 from magyc_gtsam.study import autocal as study
 from magyc_gtsam.study.autocal import model_error, synthetic, triangular
 from magyc_gtsam.study.efficiency import nees
+from magyc_gtsam.study.rows import study_rows
 
 MICROTESLA = 1e-6
 K = np.array([1.1, 0.1, -0.05, 0.9, 0.07, 1.0])
@@ -244,10 +246,14 @@ def test_the_triangular_model_has_the_gram_of_the_calibration():
     np.testing.assert_allclose(matrix @ matrix.T, gram, rtol=1e-10, atol=1e-20)
 
 
+def rows_of(units, names):
+    return study_rows("autocal", partial(study.worked, names=names), units)
+
+
 def test_one_sided_data_with_outliers_spoil_the_l2_methods_only():
     """What the paper blames for the failures on its real tracks (section III-C3)."""
     names = ("ellipsoid", "kok-schon", "autocal, cauchy", "autocal, geman-mcclure")
-    rows = study.autocal_rows(study.units(4, ("one-sided",), (0.03,)), names=names)
+    rows = rows_of(study.units(4, ("one-sided",), (0.03,)), names)
     scores = study.method_scores(rows, "one-sided")[0.03]
     for name in names[:2]:
         assert scores[name].median > 0.1
@@ -258,7 +264,7 @@ def test_one_sided_data_with_outliers_spoil_the_l2_methods_only():
 
 def test_the_smoother_bears_the_same_disturbances():
     names = ("ellipsoid", "kok-schon", "autocal, cauchy")
-    rows = study.autocal_rows(study.units(2, ("vehicle",), (0.03,)), names=names)
+    rows = rows_of(study.units(2, ("vehicle",), (0.03,)), names)
     scores = study.method_scores(rows, "vehicle")[0.03]
     assert scores["ellipsoid"].median > 0.1
     assert scores["kok-schon"].median > 0.1

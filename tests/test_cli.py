@@ -383,8 +383,8 @@ def test_interrupted(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -
     "stage",
     [
         "magyc_gtsam.estimators.smoother.smoother.fit_field_chain",  # fitting
-        "magyc_gtsam.cli.one_log.write_exports",  # writing: calibration.yaml is there, the page is not
-        "magyc_gtsam.cli.one_log.write_page",
+        "magyc_gtsam.cli.results.write_exports",  # writing: calibration.yaml is there, the page is not
+        "magyc_gtsam.cli.results.write_page",
     ],
 )
 def test_interrupted_later(
@@ -587,7 +587,7 @@ def test_a_disk_that_is_full(
     def full(*_: object) -> None:
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr("magyc_gtsam.cli.one_log.write_page", full)
+    monkeypatch.setattr("magyc_gtsam.cli.results.write_page", full)
     assert cli.main(["calibrate", str(logs / "dive.mcap"), "-q", "-o", str(tmp_path / "here/there")]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

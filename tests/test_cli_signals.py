@@ -190,7 +190,7 @@ def test_worker_processes_end_with_a_parent_that_is_killed(start: str) -> None:
 
 
 def test_a_part_of_a_table_is_removed_where_its_writing_fails(tmp_path: Path) -> None:
-    from magyc_gtsam.storage.whole_file import whole_file
+    from magyc_gtsam.storage.files import whole_file
 
     def write() -> None:
         with whole_file(tmp_path / "table") as part:

@@ -29,9 +29,8 @@ from magyc_gtsam.report.compare_page import render_comparison
 from magyc_gtsam.study import comparison as module
 from magyc_gtsam.study import judging
 from magyc_gtsam.study.comparison import compare
-from magyc_gtsam.study.heading import heading_error
 from magyc_gtsam.study.judging import UNCALIBRATED
-from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus, heading_error
 
 HOSTILE = "<script>document.title = 'taken'</script>"
 QUICK = ("smoother", "magfactor3", "sar-ls", "ellipsoid", "autocal")

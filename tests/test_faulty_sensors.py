@@ -18,8 +18,8 @@ from magyc_gtsam.io import write_mcap
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.gate import SampleGate
+from magyc_gtsam.sensor_faults.single_samples import ZeroRates
 from magyc_gtsam.sensor_faults.spikes import Spikes, has_spikes
-from magyc_gtsam.sensor_faults.zeros import ZeroRates
 from magyc_gtsam.simulation import Simulation
 
 ALL = slice(None)

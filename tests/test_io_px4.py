@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
-from magyc_gtsam.io.mounting import mounting
-from magyc_gtsam.io.px4_calibration import Parameters, undo
+from magyc_gtsam.io.px4_calibration import Parameters, mounting, undo
 
 RAW = np.random.default_rng(2).normal(0, 0.4, (30, 3))  # gauss, the sensor's own frame
 STAMP = np.arange(30) * 1000 + 5_000_000
@@ -33,20 +32,20 @@ def correct(raw: np.ndarray, rotation: np.ndarray = YAW_270) -> np.ndarray:
 
 
 def test_undone_is_raw_in_the_vehicles_frame() -> None:
-    undone = undo("MAG", correct(RAW), STAMP, Parameters(MAG), 77, corrected=True, rotated=True)
-    np.testing.assert_allclose(undone.value, RAW @ YAW_270.T, atol=1e-12)
-    assert any("CAL_MAG0_* was applied in flight and is undone" in n for n in undone.notes)
+    value, notes = undo("MAG", correct(RAW), STAMP, Parameters(MAG), 77, corrected=True, rotated=True)
+    np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
+    assert any("CAL_MAG0_* was applied in flight and is undone" in n for n in notes)
 
 
 def test_uncorrected_message_is_only_rotated() -> None:
-    undone = undo("MAG", RAW, STAMP, Parameters(MAG), 77, corrected=False, rotated=False)
-    np.testing.assert_allclose(undone.value, RAW @ YAW_270.T, atol=1e-12)
+    value, _ = undo("MAG", RAW, STAMP, Parameters(MAG), 77, corrected=False, rotated=False)
+    np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
 
 
 def test_corrected_by_the_driver_and_not_yet_rotated() -> None:
     logged = correct(RAW, np.eye(3))
-    undone = undo("MAG", logged, STAMP, Parameters(MAG), 77, corrected=True, rotated=False)
-    np.testing.assert_allclose(undone.value, RAW @ YAW_270.T, atol=1e-12)
+    value, _ = undo("MAG", logged, STAMP, Parameters(MAG), 77, corrected=True, rotated=False)
+    np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
 
 
 def test_board_rotation_of_an_internal_sensor() -> None:
@@ -57,8 +56,8 @@ def test_board_rotation_of_an_internal_sensor() -> None:
         "SENS_BOARD_Z_OFF": -3.0,
     }
     board = Rotation.from_euler("xyz", [2.0, 0.0, -3.0], degrees=True).as_matrix() @ np.diag([1.0, -1.0, -1.0])
-    undone = undo("MAG", correct(RAW, board), STAMP, Parameters(parameters), 77, corrected=True, rotated=True)
-    np.testing.assert_allclose(undone.value, RAW @ board.T, atol=1e-12)
+    value, _ = undo("MAG", correct(RAW, board), STAMP, Parameters(parameters), 77, corrected=True, rotated=True)
+    np.testing.assert_allclose(value, RAW @ board.T, atol=1e-12)
 
 
 def test_parameters_that_change_in_the_log() -> None:
@@ -66,9 +65,9 @@ def test_parameters_that_change_in_the_log() -> None:
     logged = correct(RAW)
     logged[15:] = np.array([YAW_270 @ (SCALE @ (m - OFFSET - [0.3, 0, 0])) for m in RAW[15:]])
     parameters = Parameters(MAG, ((middle, "CAL_MAG0_XOFF", 0.4),))
-    undone = undo("MAG", logged, STAMP, parameters, 77, corrected=True, rotated=True)
-    np.testing.assert_allclose(undone.value, RAW @ YAW_270.T, atol=1e-12)
-    assert any("changed within the log" in n for n in undone.notes)
+    value, notes = undo("MAG", logged, STAMP, parameters, 77, corrected=True, rotated=True)
+    np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
+    assert any("changed within the log" in n for n in notes)
 
 
 def test_which_calibration_must_be_known() -> None:
@@ -82,11 +81,11 @@ def test_which_calibration_must_be_known() -> None:
     with pytest.raises(MagycError, match=r"no CAL_MAGn_ID is set"):
         undone(Parameters({}), None)
     prime = undone(Parameters(dict(two.initial) | {"CAL_MAG_PRIME": 77}), None)
-    np.testing.assert_allclose(prime.value, RAW @ YAW_270.T, atol=1e-12)
-    np.testing.assert_allclose(undone(two, 77).value, RAW @ YAW_270.T, atol=1e-12)
+    np.testing.assert_allclose(prime[0], RAW @ YAW_270.T, atol=1e-12)
+    np.testing.assert_allclose(undone(two, 77)[0], RAW @ YAW_270.T, atol=1e-12)
     foreign = undone(two, 99)
-    np.testing.assert_allclose(foreign.value, correct(RAW), atol=1e-12)
-    assert any("no calibration had been applied" in n for n in foreign.notes)
+    np.testing.assert_allclose(foreign[0], correct(RAW), atol=1e-12)
+    assert any("no calibration had been applied" in n for n in foreign[1])
     powered = Parameters(MAG | {"CAL_MAG_COMP_TYP": 1, "CAL_MAG0_XCOMP": 0.1})
     with pytest.raises(MagycError, match=r"motors' power.*magnetic_field='sensor_mag'"):
         undone(powered, 77)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam import cli
 from magyc_gtsam.estimators import method as outside
-from magyc_gtsam.storage.checksum import sha256
+from magyc_gtsam.storage.files import sha256
 from magyc_gtsam.study.leaderboard import fetching
 from magyc_gtsam.study.leaderboard.collections import COLLECTIONS, kind_of
 from magyc_gtsam.study.leaderboard.optics import reference_of

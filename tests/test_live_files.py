@@ -20,7 +20,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import read, write_mcap
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import definition, encode
-from magyc_gtsam.live.json_lines import JsonLines
+from magyc_gtsam.live.line_sources import JsonLines
 from magyc_gtsam.live.mcap_follow import McapFollower
 from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.recording import Recording, Samples

@@ -20,7 +20,6 @@ from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.level_turn import TILT
 from magyc_gtsam.observability import Observability, Weakness
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.report import write_report
 from magyc_gtsam.report.analysis import (
     coverage,
     disturbed_stretches,
@@ -29,7 +28,7 @@ from magyc_gtsam.report.analysis import (
     summary,
 )
 from magyc_gtsam.report.charts import packed
-from magyc_gtsam.report.page import render
+from magyc_gtsam.report.page import render, write_report
 from magyc_gtsam.report.words import advice, parameter_rows, stretch, uncertain
 from magyc_gtsam.simulation import simulate
 

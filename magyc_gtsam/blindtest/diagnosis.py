@@ -93,7 +93,7 @@ def main(arguments: Sequence[str]) -> int:
     """Diagnose the given recordings, printing the number of each when done."""
     folder = Path(arguments[0])
     blindfold(folder / "sealed")
-    from magyc_gtsam.storage.whole_file import write_text
+    from magyc_gtsam.storage.files import write_text
 
     for number in arguments[1:]:
         target = folder / "results" / f"{number}.json"

@@ -27,7 +27,7 @@ import numpy as np
 from magyc_gtsam.blindtest.scenarios import FACTORS, Scenario, seed_of
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.storage.checksum import sha256
+from magyc_gtsam.storage.files import sha256
 
 Function = Callable[[dict[str, Array], float, np.random.Generator], Mapping[str, Array]]
 _SENSORS = ("magnetic_field", "angular_rate", "acceleration")

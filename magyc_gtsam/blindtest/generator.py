@@ -19,8 +19,8 @@ from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import MILLIGAUSS, inject, simulate
 from magyc_gtsam.simulation.environment import CHANNELS
 from magyc_gtsam.simulation.scene import Applied
+from magyc_gtsam.storage.files import whole_file
 from magyc_gtsam.storage.json_types import json_types
-from magyc_gtsam.storage.whole_file import whole_file
 
 _NOISE = (10 * MILLIGAUSS, 5e-3)
 _CUT = 0.03  # largest share of a real recording that is cut off at each end

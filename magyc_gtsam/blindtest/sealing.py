@@ -19,8 +19,7 @@ from magyc_gtsam.blindtest.generator import generate, truth_of, write
 from magyc_gtsam.blindtest.scenarios import Scenario, fingerprint
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.storage.checksum import sha256
-from magyc_gtsam.storage.whole_file import write_text
+from magyc_gtsam.storage.files import sha256, write_text
 
 RECORDINGS, SEALED, RESULTS, MANIFEST = "recordings", "sealed", "results", "manifest.json"
 

@@ -15,7 +15,7 @@ from magyc_gtsam.blindtest.gates import Gate, gates, missing
 from magyc_gtsam.blindtest.reliability import RELIABILITY_HEADER, reliability_rows, scores
 from magyc_gtsam.blindtest.scenarios import SETS
 from magyc_gtsam.blindtest.scoring import IN_SET, OUTCOMES, REFUSED, RIGHT, SILENT, UNKNOWN, WRONG, Outcome
-from magyc_gtsam.storage.whole_file import whole_file
+from magyc_gtsam.storage.files import whole_file
 
 _STANDING = (0.0, 4.0, 5.0, 6.0, 8.0, 12.0, 20.0, np.inf)  # sigmas
 _SAID = {RIGHT: "named", IN_SET: "named", REFUSED: SILENT}

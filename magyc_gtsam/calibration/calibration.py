@@ -16,16 +16,15 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.calibration.limits import checked, warn_if_implausible
 from magyc_gtsam.calibration.serialization import as_mapping, as_text, constructor_arguments
 from magyc_gtsam.calibration.signals import as_signals, given_signals, vectors
-from magyc_gtsam.export import do_not_use, export, parts_of
+from magyc_gtsam.export import do_not_use, export
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.storage.files import expect_path, write_text
 from magyc_gtsam.storage.mapping import load_mapping
-from magyc_gtsam.storage.paths import expect_path
-from magyc_gtsam.storage.whole_file import write_text
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -236,8 +235,9 @@ class Calibration:
             return do_not_use(reason, trusted.export(target, per_motor=per_motor))
         if self.configuration.get("magnetic_field_unit") == "counts":
             raise MagycError("a calibration in raw counts cannot be exported; calibrate in tesla")
-        parts = parts_of(self.terms, self.hard_iron, self.gyro_bias, target, per_motor)
-        return export(target, self.soft_iron, **parts._asdict(), compass=self.configuration.get("compass", 1))
+        compass = self.configuration.get("compass", 1)
+        parameters = self.soft_iron, self.hard_iron, self.gyro_bias, self.terms
+        return export(target, *parameters, per_motor=per_motor, compass=compass)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_dict, (self.to_dict(),)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_configuration
-from magyc_gtsam.cli.terminal import concluded, noted, show, show_json, show_parameters, stages
+from magyc_gtsam.cli.terminal import concluded, show, show_json, show_parameters, show_results, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.estimators.autocal.accelerometer import AccelerometerCalibration
@@ -92,11 +92,8 @@ def _show(folder: Path, log: Path, recording: Recording, calibration: Accelerome
     show(
         f"samples in motion, with reduced weight: {calibration.diagnostics['outliers']} of "
         f"{calibration.diagnostics['samples']}",
-        *noted(recording.notes),
-        "",
-        f"results: {folder}",
-        f"page: {folder / 'report.html'}",
     )
+    show_results(folder, recording.notes)
 
 
 def _show_json(folder: Path, calibration: AccelerometerCalibration) -> None:

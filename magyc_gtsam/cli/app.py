@@ -14,8 +14,7 @@ from typing import Annotated
 import typer
 
 from magyc_gtsam import __version__
-from magyc_gtsam.cli.failures import explained
-from magyc_gtsam.cli.interrupts import cause, interrupted
+from magyc_gtsam.cli.interrupts import cause, explained, interrupted
 from magyc_gtsam.cli.terminal import complain, discard_output
 
 WRONG, UNREAD = 2, 141  # exit codes of wrong input, and of a closed output (SIGPIPE, as in shells)

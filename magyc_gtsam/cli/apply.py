@@ -11,7 +11,7 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing
-from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading, epoch
 from magyc_gtsam.cli.terminal import concluded, refused, show, stages
 

@@ -11,23 +11,19 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.accelerometer import calibrate_accelerometer
-from magyc_gtsam.cli.configuration import CONFIGURED
-from magyc_gtsam.cli.files import replacing_folder
-from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.known import GivenFacts
-from magyc_gtsam.cli.many import Task, calibrate_logs, each_compass, each_log, many
-from magyc_gtsam.cli.one_log import calibrate_log
+from magyc_gtsam.cli.known import GivenFacts, Scale
+from magyc_gtsam.cli.many import calibrate_logs, each_compass, each_log, many
+from magyc_gtsam.cli.options import CONFIGURED, with_groups
 from magyc_gtsam.cli.reading import Reading, parse_pairs
-from magyc_gtsam.cli.results import dated_folder, remove_exports
-from magyc_gtsam.cli.scale import Scale
+from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder
 from magyc_gtsam.cli.terminal import (
     concluded,
-    noted,
     show,
     show_calibration,
     show_details,
     show_json,
     show_page,
+    show_results,
     stages,
 )
 
@@ -123,21 +119,18 @@ def run(
         return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
     if engine != "local" and not (every or many(reading.log, more)):
         raise given.without_effect("--engine", "several logs or --all")
+    task = Task(reading, method, options, unchecked, Path(), tuple(context.obj), force)
     if every or many(reading.log, more):
         from magyc_gtsam.io.many import find_logs
 
         if pdf:
             raise typer.BadParameter("is for one LOG", param_hint="--pdf")
         logs = find_logs([reading.log, *(more or [])])
-        tasks = each_log(Task(reading, method, options, unchecked, Path(), tuple(context.obj), force), logs)
+        tasks = each_log(task, logs)
         return calibrate_logs(each_compass(tasks) if every else tasks, output, engine, open_page, quiet, json)
     folder = output or dated_folder(reading.log)
-    with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
-        recording, calibration, verdict = calibrate_log(
-            reading, method, options, unchecked, part, context.obj, force, stage=stage
-        )
-    if not verdict.trusted and not force:
-        remove_exports(folder)  # those of an earlier run
+    with stages(shown=not (quiet or json)) as stage:
+        recording, calibration, verdict = calibrate_log(replace(task, folder=folder), stage)
     if pdf:
         calibration.report(folder / "report.pdf", replace(recording, name=reading.log.name))
     if open_page:
@@ -150,13 +143,10 @@ def run(
             show_calibration(calibration)
         show_details(verdict, verbose)
         if verbose:
-            show(_configuration(calibration))
-        show(
-            *noted(recording.notes),
-            "",
-            f"results: {folder}",
-            f"page: {folder / 'report.html'}",
-        )
+            from magyc_gtsam.report.words import configuration
+
+            show(configuration(calibration))
+        show_results(folder, recording.notes)
     return concluded(verdict, shown=not (quiet or json))
 
 
@@ -190,13 +180,6 @@ def _method_options(
     if "field_strength" in given:  # instead of the place of --config
         configured = {k: v for k, v in configured.items() if k != "field"}
     return configured | given
-
-
-def _configuration(calibration: Calibration) -> str:
-    """Return the configuration and diagnostics of the method in words."""
-    from magyc_gtsam.report.words import configuration
-
-    return configuration(calibration)
 
 
 def _show_json(folder: Path, calibration: Calibration, verdict: Verdict) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json as json_text
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,12 +11,12 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing_folder
-from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.interrupts import noted_interrupts
+from magyc_gtsam.cli.known import Scale
+from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
-from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import complain, noted, show, show_json, show_page, show_table, stages
+from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.study.outcome import Comparison
@@ -45,6 +46,7 @@ def run(
     """
     from magyc_gtsam.report.compare_page import render_comparison
     from magyc_gtsam.report.compare_words import csv_text, judged_comparison, to_dict
+    from magyc_gtsam.storage.files import write_text
     from magyc_gtsam.study.comparison import checked_methods, run_methods
     from magyc_gtsam.study.judging import judge
 
@@ -65,15 +67,11 @@ def run(
             comparison = judge(recording, names, ran)
             page = stage("drawing the page")
             (part / "comparison.csv").write_text(csv_text(comparison), encoding="utf-8")
-            (part / "comparison.json").write_text(
-                _json(to_dict(comparison)), encoding="utf-8", errors="backslashreplace"
-            )
+            write_text(part / "comparison.json", json_text.dumps(to_dict(comparison), indent=2) + "\n")
             chosen = {"methods": list(names), "field_strength": field_strength}
             write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | chosen)
             named = replace(comparison, recording=replace(recording, name=reading.log.name))
-            (part / "report.html").write_text(
-                render_comparison(named), encoding="utf-8", errors="backslashreplace"
-            )
+            write_text(part / "report.html", render_comparison(named))
         page(1.0)
     if open_page:
         show_page(folder / "report.html")
@@ -92,12 +90,6 @@ def run(
     return 1
 
 
-def _json(value: object) -> str:
-    import json
-
-    return json.dumps(value, indent=2) + "\n"
-
-
 def _show(comparison: Comparison, name: str, folder: Path) -> None:
     from magyc_gtsam.report import compare_words as words
 
@@ -112,9 +104,4 @@ def _show(comparison: Comparison, name: str, folder: Path) -> None:
         "",
     )
     show(*words.remarks(comparison))
-    show(
-        *noted(recording.notes),
-        "",
-        f"results: {folder}",
-        f"page: {folder / 'report.html'}",
-    )
+    show_results(folder, recording.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json as json_text
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,18 +12,18 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing_folder
-from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.many import many
+from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
 from magyc_gtsam.cli.terminal import (
     Progress,
     concluded,
-    noted,
     show,
     show_details,
     show_json,
     show_page,
+    show_results,
     show_table,
     stages,
 )
@@ -149,13 +150,8 @@ def run(
         if verdict.details:
             show("")
         _show(gap, validation, verbose)
-        show(
-            *(f"left out: {fault}" for fault in gap.diagnostics["left_out"]),
-            *noted(recording.notes),
-            "",
-            f"results: {folder}",
-            f"page: {folder / 'report.html'}",
-        )
+        show(*(f"left out: {fault}" for fault in gap.diagnostics["left_out"]))
+        show_results(folder, recording.notes)
     return concluded(verdict, shown=not (quiet or json))
 
 
@@ -164,13 +160,12 @@ def _write_result(
 ) -> None:
     """Write gap.json, calibration.yaml and report.html."""
     from magyc_gtsam.report.gap_page import render_gap
+    from magyc_gtsam.storage.files import write_text
 
-    (folder / "gap.json").write_text(
-        _json(_values(gap, validation, verdict)), encoding="utf-8", errors="backslashreplace"
-    )
+    values = json_text.dumps(_values(gap, validation, verdict), indent=2, ensure_ascii=False)
+    write_text(folder / "gap.json", values + "\n")
     gap.calibration.save(folder / "calibration.yaml")
-    page = render_gap(recording, gap, validation, verdict)
-    (folder / "report.html").write_text(page, encoding="utf-8", errors="backslashreplace")
+    write_text(folder / "report.html", render_gap(recording, gap, validation, verdict))
 
 
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
@@ -239,12 +234,6 @@ def _values(gap: Gap, validation: Validation | None, judged: Verdict) -> dict[st
 
     values: dict[str, Any] = json_types(gap)
     return values | {"judgement": judged.to_dict(), "validation": json_types(validation)}
-
-
-def _json(values: dict[str, Any]) -> str:
-    import json
-
-    return json.dumps(values, indent=2, ensure_ascii=False) + "\n"
 
 
 def _show(gap: Gap, validation: Validation | None, every: bool) -> None:

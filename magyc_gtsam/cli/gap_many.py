@@ -14,7 +14,7 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder
-from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_table, stages
+from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
 from magyc_gtsam.gap.effects import LABELS
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def gap_of_logs(
     """
     from magyc_gtsam import MagycError, find_gap
     from magyc_gtsam.gap.many.result import LogLeftOut
+    from magyc_gtsam.storage.files import write_text
 
     recordings, unread = [], []
     folder = output or dated_folder(Path("logs"), "-gap")
@@ -63,11 +64,11 @@ def gap_of_logs(
         gap = find_gap(recordings, candidates=names, progress=stage("searching"))
         gap = replace(gap, own=(*unread, *gap.own))
         text = json_text.dumps(gap.to_dict(), indent=2, ensure_ascii=False) + "\n"
-        (part / "gap.json").write_text(text, encoding="utf-8")
+        write_text(part / "gap.json", text)
         (part / "calibrations").mkdir()
         for name, calibration in gap.calibrations.items():
             calibration.save(part / "calibrations" / f"{name}.yaml")
-        (part / "report.html").write_text(_page(gap), encoding="utf-8", errors="backslashreplace")
+        write_text(part / "report.html", _page(gap))
     if open_page:
         show_page(folder / "report.html")
     if json:
@@ -117,7 +118,7 @@ def _show(gap: GapOfMany, folder: Path) -> None:
     show(*(f"{own.log}: {own.sentence}" for own in gap.own))
     show("", "Other hypotheses, against the model with these effects:")
     show_table(WEIGHTS, weight_rows(gap, _SHOWN))
-    show("", f"results: {folder}", f"page: {folder / 'report.html'}")
+    show_results(folder)
 
 
 def _headline(gap: GapOfMany) -> str:

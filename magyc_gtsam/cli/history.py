@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from magyc_gtsam.cli import options as given
-from magyc_gtsam.cli.failures import explained
 from magyc_gtsam.cli.files import replacing_folder
-from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.interrupts import explained
+from magyc_gtsam.cli.known import Scale
 from magyc_gtsam.cli.many_table import distinct_names
+from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, remove_exports, write_exports
-from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_json, show_table, stages
+from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_json, show_results, show_table, stages
 from magyc_gtsam.foreign_text import with_minus
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
     from magyc_gtsam.history import History, LogFactor
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A unit of work: one log to compress into a factor."""
-
-    reading: Reading
-    options: dict[str, Any]
 
 
 @with_groups
@@ -60,6 +52,7 @@ def run(
     from magyc_gtsam.history import History, LogFactor
     from magyc_gtsam.io.many import find_logs
     from magyc_gtsam.report.summary_page import history_page, judged_history
+    from magyc_gtsam.storage.files import write_text
 
     logs = find_logs([reading.log, *(more or [])])
     before = None if add is None else History.load(add)
@@ -69,7 +62,7 @@ def run(
         options["field_strength"] = strength
     if gyroscope_scale is not None:
         options["gyroscope_scale"] = gyroscope_scale * 1e-2
-    tasks = {name: _Task(replace(reading, log=log), options) for log, name in distinct_names(logs).items()}
+    tasks = {name: (replace(reading, log=log), options) for log, name in distinct_names(logs).items()}
     folder = output or dated_folder(Path("history"))
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         rows = run_many(_compress_one, tasks, engine=engine, progress=stage(f"calibrating {len(logs)} logs"))
@@ -90,7 +83,7 @@ def run(
         history.save(part / "history.yaml")
         following.save(part / "next.yaml")
         write_exports(part, following)
-        (part / "report.html").write_text(history_page(history), encoding="utf-8", errors="backslashreplace")
+        write_text(part / "report.html", history_page(history))
     if not verdict.trusted:
         remove_exports(folder)  # those of an earlier run
     if json:
@@ -102,7 +95,7 @@ def run(
         if verdict.trusted:
             show(f"next log: {following.message}")
             show_calibration(following)
-        show("", f"results: {folder}", f"page: {folder / 'report.html'}")
+        show_results(folder)
     return concluded(verdict, shown=not (quiet or json))
 
 
@@ -130,15 +123,16 @@ def _named_apart(names: Sequence[str], before: History) -> list[str]:
     return result
 
 
-def _compress_one(task: _Task) -> Row:
-    """Compress one log into its factor, and return it as a row; errors are in the row."""
+def _compress_one(task: tuple[Reading, dict[str, Any]]) -> Row:
+    """Compress one log, read and calibrated with these options, into its factor as a row; errors are in the row."""
     from magyc_gtsam.history.log_factor import LogFactor, factor_of
 
+    reading, options = task
     try:
-        return factor_of(task.reading.recording(), None, task.options).to_dict()
+        return factor_of(reading.recording(), None, options).to_dict()
     except Exception as error:  # noqa: BLE001 - a bug must not cost the results of the other logs
-        problem = explained(error).removeprefix(f"{task.reading.log}: ")
-        return LogFactor(task.reading.log.name, None, None, None, problem=problem).to_dict()
+        problem = explained(error).removeprefix(f"{reading.log}: ")
+        return LogFactor(reading.log.name, None, None, None, problem=problem).to_dict()
 
 
 def _show(history: History) -> None:

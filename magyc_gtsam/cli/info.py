@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from magyc_gtsam.cli import options as given
-from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.options import without_effect
+from magyc_gtsam.cli.options import with_groups, without_effect
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.terminal import noted, show, show_json, show_table, stages
 
@@ -69,7 +68,7 @@ def _show(described: LogInfo) -> None:
 
 
 def _show_json(described: LogInfo, recording: Recording | None) -> None:
-    from magyc_gtsam.report.strip import strip_of
+    from magyc_gtsam.report.analysis import strip_of
 
     sources = [asdict(source) | {"rate": source.rate} for source in described.sources]
     result = asdict(described) | {"sources": sources, "readable": described.readable}

@@ -5,19 +5,16 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from magyc_gtsam import __version__
-from magyc_gtsam.cli.failures import explained
-from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, labels, shown, write_tables
-from magyc_gtsam.cli.one_log import calibrate_log
-from magyc_gtsam.cli.reading import Reading
-from magyc_gtsam.cli.results import dated_folder, remove_exports
-from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_table, stages
+from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder
+from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -25,29 +22,6 @@ if TYPE_CHECKING:
 _NUMBERED = re.compile(r"\[(\d+)\]$")
 _PATTERN = re.compile(r"[*?\[]")
 _PARTS = ".parts"
-
-
-@dataclass(frozen=True)
-class Task:
-    """A unit of work: one log to calibrate, or one compass of a log.
-
-    Attributes:
-        reading: the log and how to read it.
-        method, options, pairs: see `calibrate_log`.
-        folder: the folder for its results.
-        arguments: the command line.
-        force: also write the parameters of a result that must not be trusted.
-        compass: number of the compass on the vehicle, from 1.
-    """
-
-    reading: Reading
-    method: str
-    options: dict[str, Any]
-    pairs: list[str] | None
-    folder: Path
-    arguments: tuple[str, ...]
-    force: bool
-    compass: int = 1
 
 
 def many(log: Path, more: Sequence[Path] | None) -> bool:
@@ -147,7 +121,7 @@ def calibrate_logs(
     elif not quiet:
         show(headline(table)[1], "")
         show_table(*shown(table, short=True), words=(5,))
-        show("", f"results: {folder}", f"page: {folder / 'index.html'}")
+        show_results(folder, page="index.html")
     code = max(row["exit_code"] for row in table)
     if code:
         complain(
@@ -178,14 +152,9 @@ def _fingerprint(task: Task) -> str:
 def calibrate_one(task: Task) -> Row:
     """Calibrate one log, write its files, and return its row; errors are in the row."""
     try:
-        with replacing_folder(task.folder) as part:
-            recording, calibration, verdict = calibrate_log(
-                task.reading, task.method, task.options, task.pairs, part, task.arguments, task.force, task.compass
-            )
+        recording, calibration, verdict = calibrate_log(task)
     except Exception as error:  # noqa: BLE001 - a bug must not cost the results of the other logs
         return {"exit_code": 2, "sentence": explained(error).removeprefix(f"{task.reading.log}: ")}
-    if not verdict.trusted and not task.force:
-        remove_exports(task.folder)  # those of an earlier run
     row: Row = {
         "exit_code": 0 if verdict.trusted else 1,
         "sentence": verdict.reason,

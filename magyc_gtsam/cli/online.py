@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from magyc_gtsam.cli import options as given
-from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.known import Scale
+from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import parse_pairs, parse_unit
-from magyc_gtsam.cli.scale import Scale
 
 if TYPE_CHECKING:
     from magyc_gtsam.online import OnlineCalibrator

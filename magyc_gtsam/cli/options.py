@@ -1,13 +1,94 @@
-"""Options that several commands share, for reading logs and for output."""
+"""Options that several commands share: alone, in groups (a dataclass whose fields are options), and from --config."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from magyc_gtsam.cli.configuration import from_file
+CONFIGURED = "configured"  # key of `Context.meta`: arguments of the method that are no defaults of options
+_WITH_OPTION = ("robust", "window", "noise", "delay", "field_strength")
+
+
+def from_file(context: typer.Context, path: Path | None) -> Path | None:
+    """Use the options in the file as defaults of those that are not given; the callback of --config."""
+    if path is None:
+        return None
+    context.default_map, context.meta[CONFIGURED] = _defaults(path)
+    return path
+
+
+def _defaults(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the options of `calibrate` by their names, and the other arguments, from a configuration.yaml."""
+    from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.storage.mapping import load_mapping
+
+    try:
+        values = load_mapping(path, "configuration")
+    except MagycError as problem:
+        raise MagycError(f"--config: {problem}; name a configuration.yaml that calibrate wrote") from None
+    if not isinstance(values.get("reading"), dict) or "method" not in values:
+        raise MagycError(
+            f"--config: {path}: 'reading' or 'method' is missing; name a configuration.yaml that calibrate wrote"
+        )
+    options = values.get("options") or {}
+    if not isinstance(options, dict):
+        raise MagycError(f"--config: {path}: options must be a mapping of names to values, got {options!r}")
+    try:
+        others = {name: value for name, value in options.items() if name not in _WITH_OPTION}
+        return {**values["reading"], "method": values["method"], **_as_options(options)}, others
+    except (TypeError, ValueError) as problem:
+        raise MagycError(f"--config: {path}: an option has the wrong type ({problem})") from None
+
+
+def _as_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert arguments of `magyc_gtsam.calibrate`, in SI units, to options in the units of the command line."""
+    result: dict[str, Any] = {name: options[name] for name in ("robust", "window") if name in options}
+    if "noise" in options:
+        magnetometer, gyroscope = options["noise"]
+        result["noise"] = (magnetometer * 1e6, gyroscope * 1e3)
+    if "delay" in options:
+        result["delay"] = repr(options["delay"] * 1e3)
+    if "field_strength" in options:
+        result["field_strength"] = options["field_strength"] * 1e6
+    return result
+
+
+def with_groups(command: Callable[..., int]) -> Callable[..., int]:
+    """Decorate a command for typer: a parameter that is a dataclass is replaced by options for its fields."""
+    groups: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    types: dict[str, Any] = {}
+    # Not get_type_hints, which before Python 3.11 hides options behind implicit Optional.
+    annotations = inspect.get_annotations(command, eval_str=True)
+    for name, parameter in inspect.signature(command).parameters.items():
+        annotation = annotations[name]
+        if isinstance(annotation, type) and is_dataclass(annotation):
+            groups[name] = annotation
+            types |= inspect.get_annotations(annotation, eval_str=True)
+            parameters += inspect.signature(annotation).parameters.values()
+        else:
+            types[name] = annotation
+            parameters.append(parameter)
+
+    @wraps(command)
+    def run(**arguments: Any) -> int:
+        grouped = {
+            name: group(**{field: arguments.pop(field) for field in group.__dataclass_fields__})
+            for name, group in groups.items()
+        }
+        return command(**grouped, **arguments)
+
+    signature = [p.replace(kind=p.KEYWORD_ONLY, annotation=types[p.name]) for p in parameters]
+    run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
+    run.__annotations__ = types
+    return run
+
 
 Log = Annotated[
     Path,

@@ -1,19 +1,23 @@
-"""The files of one calibration, including the description of its run."""
+"""Calibrate one log of the command line, and write its files with the description of the run."""
 
 from __future__ import annotations
 
 import platform
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.reading import Reading
+
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
-    from magyc_gtsam.cli.reading import Reading
+    from magyc_gtsam.cli.terminal import Progress
     from magyc_gtsam.recording import Recording
     from magyc_gtsam.report.verdict import Verdict
 
@@ -23,6 +27,31 @@ EXPORTS = {
     "vectornav": "vectornav.txt",
     "ros": "ros.yaml",
 }
+
+
+@dataclass(frozen=True)
+class Task:
+    """A unit of work: one log to calibrate, or one compass of a log.
+
+    Attributes:
+        reading: the log and how to read it.
+        method: name of the method.
+        options: arguments of `magyc_gtsam.calibrate`.
+        pairs: texts of --option and names from --config, for messages; None without any.
+        folder: folder of its results.
+        arguments: the command line, for configuration.yaml.
+        force: also write the parameters of a result that must not be trusted, as comments.
+        compass: number of the compass on the vehicle, from 1.
+    """
+
+    reading: Reading
+    method: str
+    options: dict[str, Any]
+    pairs: list[str] | None
+    folder: Path
+    arguments: tuple[str, ...]
+    force: bool
+    compass: int = 1
 
 
 def dated_folder(log: Path, what: str = "") -> Path:
@@ -39,7 +68,7 @@ def dated_folder(log: Path, what: str = "") -> Path:
 def write_page(folder: Path, recording: Recording, calibration: Calibration, verdict: Verdict) -> None:
     """Write report.html, with residuals if the method has a gyroscope bias."""
     from magyc_gtsam.estimators.smoother.residuals import window_residuals
-    from magyc_gtsam.report import write_report
+    from magyc_gtsam.report.page import write_report
 
     has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None
     residuals = window_residuals(recording, calibration) if has_residuals else None
@@ -98,7 +127,7 @@ def _versions(*names: str) -> dict[str, str]:
 def run_description(reading: Reading, recording: Recording, arguments: Sequence[str]) -> dict[str, Any]:
     """Return the command, versions, the log with its checksum, and how it was read, as JSON types."""
     from magyc_gtsam import __version__
-    from magyc_gtsam.storage.checksum import sha256
+    from magyc_gtsam.storage.files import sha256
 
     return {
         "magyc_gtsam": __version__,
@@ -120,3 +149,47 @@ def write_yaml(path: Path, values: dict[str, Any]) -> None:
     import yaml
 
     path.write_text(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110), encoding="utf-8")
+
+
+def calibrate_log(
+    task: Task, stage: Callable[[str], Progress] = lambda _: lambda _: None
+) -> tuple[Recording, Calibration, Verdict]:
+    """Read a log, calibrate it and write all files into its folder; `stage` opens a named stage of the progress."""
+    from magyc_gtsam.report.verdict import judged
+
+    reading = task.reading
+    with replacing_folder(task.folder) as folder:
+        recording = reading.recording(stage("reading"))
+        earlier = task.options.get("prior")
+        if isinstance(earlier, dict) and earlier.get("converged") is False:
+            cause = str(earlier.get("message", "")).split(";")[0]
+            remark = f"the earlier calibration must not be trusted by itself: {cause}"
+            recording = replace(recording, notes=(*recording.notes, remark))
+        calibration = _calibrate(recording, task, stage("calibrating"))
+        if task.compass > 1:
+            calibration = replace(
+                calibration, configuration={**calibration.configuration, "compass": task.compass}
+            )
+        page = stage("drawing the page")
+        calibration.save(folder / "calibration.yaml")
+        write_configuration(folder, reading, recording, calibration, task.options, task.arguments)
+        verdict = judged(calibration, recording)
+        write_exports(folder, calibration, task.force)
+        write_page(folder, replace(recording, name=reading.log.name), calibration, verdict)
+        page(1.0)
+    if not verdict.trusted and not task.force:
+        remove_exports(task.folder)  # those of an earlier run
+    return recording, calibration, verdict
+
+
+def _calibrate(recording: Recording, task: Task, progress: Progress) -> Calibration:
+    """Calibrate; an argument that the method does not accept raises a MagycError."""
+    from magyc_gtsam import MagycError, calibrate
+
+    try:
+        calibration: Calibration = calibrate(recording, task.method, progress=progress, **task.options)
+    except TypeError as error:
+        if task.pairs is None:
+            raise
+        raise MagycError(f"{', '.join(task.pairs)}: {task.method} cannot use it ({error})") from None
+    return calibration

@@ -12,7 +12,7 @@ from magyc_gtsam.cli.study_options import refuse_unused
 from magyc_gtsam.cli.terminal import show, show_table, stages
 
 if TYPE_CHECKING:
-    from magyc_gtsam.study.known import FactCell
+    from magyc_gtsam.study.rows import Cell
 
 
 class Study(str, Enum):
@@ -241,20 +241,23 @@ def _efficiency(runs: int, disturbed: float, gyroscope_noise: float, first_seed:
 def _known(folder: Path, seeds: range, engine: str, workers: int) -> None:
     """Show errors and NEES by skew of the chips, and by prior knowledge."""
     from magyc_gtsam.study import known
-    from magyc_gtsam.study.rows import Running
+    from magyc_gtsam.study.known_facts import FACTS
+    from magyc_gtsam.study.rows import Cell, Running, study_rows
 
     with stages() as stage:
         running = Running(folder, engine, workers, stage(f"{len(seeds)} runs a cell"))
-        rows = known.known_rows(known.units(seeds), running)
+        rows = study_rows("known", known.worked, known.units(seeds), running)
     table = []
     for motion in known.MOTIONS:
         for skew in (*known.SKEWS, None):
-            cells = known.skew_cells(motion, skew, rows)
-            better = min(cells["never"].heading, cells["always"].heading)
+            kind = {"kind": "board"} if skew is None else {"kind": "skew", "size": skew}
+            cell = Cell(rows, motion=motion, **kind)
+            heading = {way: cell.root(f"{way} heading") for way in known.WAYS}
             row = [motion, "as believed" if skew is None else f"{skew:g}"]
-            row += [f"{cells[way].heading:.3f}" for way in known.WAYS] + [f"{cells['asked'].heading / better:.2f}"]
-            row += [f"{cells[way].nees:.2f}" for way in known.WAYS]
-            table.append([*row, f"{cells['asked'].of_sensors:.2f}", f"{cells['asked'].decided:.0%}"])
+            row += [f"{each:.3f}" for each in heading.values()]
+            row.append(f"{heading['asked'] / min(heading['never'], heading['always']):.2f}")
+            row += [f"{cell.mean(f'{way} nees'):.2f}" for way in known.WAYS]
+            table.append([*row, f"{cell.mean('asked of_sensors'):.2f}", f"{cell.mean('asked decided'):.0%}"])
     headings = [f"heading °, {way}" for way in known.WAYS] + ["× better"]
     headings += [*(f"NEES, {way}" for way in known.WAYS), "sensors and skew alone", "decided"]
     show_table(["motion", "skew °", *headings], table)
@@ -267,23 +270,22 @@ def _known(folder: Path, seeds: range, engine: str, workers: int) -> None:
     )
     table = []
     for motion, duration in known.LIMITED:
-        for way, cell in known.fact_cells(motion, duration, rows).items():
-            table.append([f"{motion} {duration:g} s", way, *_fact(cell)])
+        cell = Cell(rows, kind="fact", motion=motion, size=duration)
+        table += [[f"{motion} {duration:g} s", way, *_fact(cell, way)] for way in FACTS]
     for motion in ("wide", "tiny", "level"):
         for percent in known.PERCENTS:
-            table.append(
-                [motion, f"matrix off by {percent:g} %", *_fact(known.matrix_cell(motion, percent, rows))]
-            )
+            cell = Cell(rows, kind="matrix", motion=motion, size=percent)
+            table.append([motion, f"matrix off by {percent:g} %", *_fact(cell, "wrong")])
     numbers = ["hard iron error µT", "× bound", "stated µT", "error²/σ²", "sensors alone", "refused"]
     show_table(["motion", "known", *numbers], table)
     low, high = known.band(len(seeds), 3)
     show(f"error²/σ², 95 % band {low / 3:.2f} to {high / 3:.2f}; rows in {folder / 'known.parquet'}", "")
 
 
-def _fact(cell: FactCell) -> list[str]:
+def _fact(cell: Cell, way: str) -> list[str]:
     """Return error (µT) and its ratio to the bound, stated deviation (µT), error²/σ² with and without what else an
     instrument may do, and the share refused."""
-    stated = f"{cell.stated * 1e6:.3f}"
-    against = f"{cell.error / cell.bound:.2f}"
-    squares = f"{cell.ratio:.2f}", f"{cell.of_sensors:.2f}"
-    return [f"{cell.error * 1e6:.3f}", against, stated, *squares, f"{cell.refused:.0%}"]
+    error, bound, stated = (cell.root(f"{way} {name}") for name in ("error", "bound", "stated"))
+    squares = (f"{cell.mean(f'{way} {name}'):.2f}" for name in ("ratio", "of_sensors"))
+    refused = f"{cell.mean(f'{way} refused'):.0%}"
+    return [f"{error * 1e6:.3f}", f"{error / bound:.2f}", f"{stated * 1e6:.3f}", *squares, refused]

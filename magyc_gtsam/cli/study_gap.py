@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magyc_gtsam.cli.study_logs import recordings_of
+from magyc_gtsam.cli.study_options import recordings_of
 from magyc_gtsam.cli.terminal import show, show_table, stages
 
 if TYPE_CHECKING:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from magyc_gtsam.cli.study_logs import recordings_of
+import numpy as np
+
+from magyc_gtsam.cli.study_options import recordings_of
 from magyc_gtsam.cli.terminal import show, show_table, stages
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.study.rows import Cell, Running, study_rows
 
 if TYPE_CHECKING:
+    from magyc_gtsam.engine import Row
     from magyc_gtsam.study.review import MethodScore
-    from magyc_gtsam.study.rows import Running
     from magyc_gtsam.study.table_one import MethodOnMotion
 
 
@@ -27,11 +30,14 @@ class StudyOutput(NamedTuple):
     @contextmanager
     def running(self, title: str) -> Iterator[Running]:
         """Yield the engine's settings, and show a progress bar."""
-        from magyc_gtsam.study.rows import Running
-
         self.folder.mkdir(parents=True, exist_ok=True)
         with stages() as stage:
             yield Running(self.folder, self.engine, self.workers, stage(title))
+
+    def rows(self, title: str, name: str, work: Callable[[Any], Row], units: Iterable[Any]) -> list[Row]:
+        """Run a study whose units are independent, and return its rows."""
+        with self.running(title) as running:
+            return study_rows(name, work, units, running)
 
     def drawn(self, name: str, draw: Callable[[Path], None]) -> None:
         """Draw `<name>.svg`, and print where the files are."""
@@ -44,8 +50,7 @@ def review(place: StudyOutput, runs: int) -> None:
     from magyc_gtsam.study import review as study
 
     conditions = [condition for each in study.FIGURES.values() for condition in each]
-    with place.running(f"{runs} runs a condition") as running:
-        rows = study.review_rows(study.units(runs, conditions), running)
+    rows = place.rows(f"{runs} runs a condition", "review", study.worked, study.units(runs, conditions))
     table = study.method_scores(rows)
     reference, first = table[0].scores.time, study.PUBLISHED[table[0].method][2]
     show("Table 2: the baseline (80)")
@@ -92,8 +97,7 @@ def autocal(place: StudyOutput, runs: int) -> None:
         error = "–" if score.failed == 1 and not score.median < 10 else f"{100 * score.median:.2f}"
         return error if not score.failed else f"{error} ({score.failed:.0%})"
 
-    with place.running(f"{runs} runs a condition") as running:
-        rows = study.autocal_rows(study.units(runs), running)
+    rows = place.rows(f"{runs} runs a condition", "autocal", study.worked, study.units(runs))
     for name, part in study.PARTS.items():
         table = study.method_scores(rows, name)
         show(
@@ -201,12 +205,11 @@ def settling(place: StudyOutput, runs: int, gyroscope_noise: float) -> None:
     """Show the share of the data after which MAGYC-IFG no longer changes."""
     from magyc_gtsam.study import settling as study
 
-    with place.running(f"{runs} runs") as running:
-        rows = study.settling_rows(runs, gyroscope_noise=gyroscope_noise, running=running)
-    shown = [
-        [each.motion, f"{each.share[0]:.0%}", "{1:.0%} to {2:.0%}".format(*each.share), "lost"]
-        for each in study.settlings(rows)
-    ]
+    rows = place.rows(f"{runs} runs", "settling", study.worked, study.units(runs, gyroscope_noise))
+    shown = []
+    for motion in study.PUBLISHED["raw"]:
+        middle, low, high = np.percentile(Cell(rows, motion=motion).column("share"), [50, 5, 95])
+        shown.append([motion, f"{middle:.0%}", f"{low:.0%} to {high:.0%}", "lost"])
     show_table(["magyc-ifg settles after", "median", "5 to 95 %", "paper"], shown)
     place.drawn("settling", lambda target: study.draw(target, rows))
 
@@ -215,22 +218,28 @@ def dive_survey(place: StudyOutput, runs: int) -> None:
     """Reproduce Fig. 3b of the MAGYC paper."""
     from magyc_gtsam.study import dive_survey as study
 
-    with place.running(f"{runs} pairs at each noise") as running:
-        rows = study.dive_survey_rows(study.units(runs), running)
-    each = [study.cells(rows, noise) for noise in study.NOISES]
+    rows = place.rows(f"{runs} pairs at each noise", "dive-survey", study.worked, study.units(runs))
 
-    def text(cell: study.MethodOnDives) -> str:
-        heading = "none" if cell.heading == float("inf") else f"{cell.heading:.2f}"
-        cost = "" if cell.cost != cell.cost else f" [{cell.cost:.4f}]"
-        return heading + cost + (f" ({cell.trusted:.0%})" if cell.trusted < 1 else "")
+    def text(cell: Cell) -> str:
+        heading, cost, trusted = (
+            np.median(cell.column("heading")),
+            np.median(cell.column("cost")),
+            cell.mean("trusted"),
+        )
+        shown = "none" if heading == np.inf else f"{heading:.2f}"
+        shown += "" if np.isnan(cost) else f" [{cost:.4f}]"
+        return shown + (f" ({trusted:.0%})" if trusted < 1 else "")
 
-    for way in next(iter(each[0].values())):
+    for way in study.WAYS:
         show(
             "",
             f"{way}: heading deviation in °, in [] the cost (7) over that of the truth, in () the share trusted",
             "",
         )
-        shown = [[method, *(text(found[method][way]) for found in each)] for method in each[0]]
+        shown = [
+            [method, *(text(Cell(rows, noise=noise, method=method, way=way)) for noise in study.NOISES)]
+            for method in dict.fromkeys(row["method"] for row in rows)
+        ]
         show_table(["", *(f"{noise:g} × noise" for noise in study.NOISES)], shown)
     show(f"the paper: {study.SAID}")
     place.drawn("dive-survey", lambda target: study.draw(target, rows))
@@ -240,15 +249,19 @@ def duration(place: StudyOutput, runs: int) -> None:
     """Show the heading error by minutes of data and amplitude of motion, which no paper has."""
     from magyc_gtsam.study import duration as study
 
-    with place.running(f"{runs} runs a cell") as running:
-        rows = study.duration_rows(study.units(runs), running)
+    rows = place.rows(f"{runs} runs a cell", "duration", study.worked, study.units(runs))
     for heading in study.HEADINGS:
-        cells = study.cells(rows, heading)
         show("", f"heading ±{heading:g}°: root-mean-square heading error ° (stated), in brackets not trusted", "")
         table = []
         for pitch in study.PITCHES:
-            row = [cells[pitch, minutes] for minutes in study.MINUTES]
-            texts = [f"{c.error:.2f} ({c.stated:.2f})" + (f" [{c.refused:.0%}]" if c.refused else "") for c in row]
-            table.append([f"pitch ±{pitch:g}°", *texts])
+            row = [f"pitch ±{pitch:g}°"]
+            for minutes in study.MINUTES:
+                cell = Cell(rows, heading=heading, pitch=pitch, minutes=minutes)
+                refused = cell.mean("refused")
+                row.append(
+                    f"{cell.root('error'):.2f} ({cell.root('stated'):.2f})"
+                    + (f" [{refused:.0%}]" if refused else "")
+                )
+            table.append(row)
         show_table(["", *(f"{minutes:g} min" for minutes in study.MINUTES)], table)
     place.drawn("duration", lambda target: study.draw(target, rows))

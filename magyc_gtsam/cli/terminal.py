@@ -210,6 +210,11 @@ def noted(notes: Sequence[str]) -> list[str]:
     return [f"note: {note}" for note in notes]
 
 
+def show_results(folder: Path, notes: Sequence[str] = (), page: str = "report.html") -> None:
+    """Print the notes on a log, and where the results and their page are."""
+    show(*noted(notes), "", f"results: {folder}", f"page: {folder / page}")
+
+
 def show_page(page: Path) -> None:
     """Open a page in the browser; without one the path on the terminal has to do."""
     import webbrowser

@@ -18,7 +18,7 @@ _NEEDED = (
     "magyc_gtsam.estimators.smoother.smoother",
     "magyc_gtsam.estimators.smoother.residuals",
     "magyc_gtsam.report.page",
-    "magyc_gtsam.report.strip",
+    "magyc_gtsam.report.analysis",
     "magyc_gtsam.export",
 )
 

@@ -24,9 +24,8 @@ from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.expected import expect_recording
+from magyc_gtsam.storage.files import expect_path, write_text
 from magyc_gtsam.storage.mapping import json_types, parse_json, parse_yaml
-from magyc_gtsam.storage.paths import expect_path
-from magyc_gtsam.storage.whole_file import write_text
 
 _FORMAT = "magyc-gtsam history 3"
 _EARLIER = (
@@ -271,11 +270,7 @@ def _model_for(options: Mapping[str, Any]) -> HistoryModel:
 
 
 def _of_one_kind(factors: Sequence[LogFactor]) -> tuple[LogFactor, ...]:
-    """Return the factors, all with the gyroscope's scale or all without.
-
-    Raises:
-        MagycError: some have it and some have not.
-    """
+    """Return the factors, all with the gyroscope's scale or all without."""
     sizes = {len(factor.mean) for factor in factors if factor.mean is not None}
     if len(sizes) > 1:
         raise MagycError(

@@ -17,7 +17,7 @@ from magyc_gtsam.io.log_info import LogInfo, Source, turned
 from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.axes import in_magnetometer_axes, parse_axes
-from magyc_gtsam.storage.paths import expect_path
+from magyc_gtsam.storage.files import expect_path
 
 if TYPE_CHECKING:
     from magyc_gtsam.io.mcap_writer import write_mcap

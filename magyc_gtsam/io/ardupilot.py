@@ -63,11 +63,7 @@ def read(path: Path, request: Request) -> Recording:
 
 
 def _fields(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return the fields to load of each message, for the sensors and the channels.
-
-    Raises:
-        MagycError: a channel is not written as message.field.
-    """
+    """Return the fields to load of each message, for the sensors and the channels."""
     fields: dict[str, tuple[str, ...]] = {"ATT": ("Roll", "Pitch", "Yaw")}
     for name in ("MAG", "MAG2", "MAG3"):
         fields[name] = (*_AXES["magnetic_field"][1], *sum((*_OFFSETS, *_MOTORS), ()), "Health")
@@ -109,11 +105,7 @@ def info(path: Path) -> LogInfo:
 
 
 def _choose(log: ArduPilotLog, sensor: str, request: Request, notes: list[str]) -> tuple[str, int] | None:
-    """Return the key of the instance that the caller named for a sensor, else of the first; None without any.
-
-    Raises:
-        MagycError: the log has no such instance.
-    """
+    """Return the key of the instance that the caller named for a sensor, else of the first; None without any."""
     kind = _AXES[sensor][0]
     keys = sorted(k for k in log.samples if k[0] == kind)
     listed = ", ".join(f"{label(k)} ({len(log.samples[k].stamp)} samples)" for k in keys)
@@ -179,11 +171,7 @@ def _attitude(log: ArduPilotLog, request: Request, notes: list[str]) -> Stream |
 
 
 def _channels(log: ArduPilotLog, channels: tuple[str, ...], request: Request) -> dict[str, Stream]:
-    """Return the channels that the log has.
-
-    Raises:
-        MagycError: a channel that the caller named is missing.
-    """
+    """Return the channels that the log has."""
     result = {}
     for channel in channels:
         message, member = channel.split(".", 1)

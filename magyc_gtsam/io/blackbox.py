@@ -116,11 +116,7 @@ def _scale(sensor: str, headers: Mapping[str, Any], path: Path) -> float:
 
 
 def _flight(path: Path, wanted: int) -> _Flight:
-    """Load log number `wanted` of a file.
-
-    Raises:
-        MagycError: orangebox is not installed, or the log cannot be read or is empty.
-    """
+    """Load log number `wanted` of a file."""
     with needs(f"{path}", "orangebox", "blackbox"):
         from orangebox import Parser
     try:

@@ -157,11 +157,7 @@ def sensor_sets(columns: Sequence[Column], sensor: str) -> dict[str, SensorColum
 
 
 def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> dict[str, SensorColumns]:
-    """Return the complete sets of axes by the common prefix of their names.
-
-    Raises:
-        MagycError: two columns have the same name.
-    """
+    """Return the complete sets of axes by the common prefix of their names."""
     groups: dict[str, dict[str, Column]] = {}
     for column in columns:
         if match := pattern.match(column.name):

@@ -98,12 +98,7 @@ def _check(options: Mapping[str, Any]) -> None:
 
 
 def _sensor_columns(table: Table, request: Request, notes: list[str]) -> dict[str, SensorColumns]:
-    """Return the columns of each sensor in the table.
-
-    Raises:
-        MagycError: a sensor's columns are ambiguous or missing; for acceleration and attitude, which most methods do
-            not need, only if the caller named them.
-    """
+    """Return the columns of each sensor in the table."""
     groups = {}
     for sensor in _SENSORS:
         try:
@@ -192,11 +187,7 @@ def _read(
 
 
 def _channel_columns(table: Table, used: set[int], request: Request, notes: list[str]) -> list[Column]:
-    """Return the columns of channels: those that the caller named, else all that are not `used` and hold numbers.
-
-    Raises:
-        MagycError: there is no column with a name that the caller gave.
-    """
+    """Return the columns of channels: those that the caller named, else all that are not `used` and hold numbers."""
     free = [c for c in table.columns if c.index not in used]
     if request.channels is not None:
         missing = [w for w in request.channels if w not in {c.written for c in free}]

@@ -53,11 +53,7 @@ class StampColumn:
         return stamp
 
     def _other(self, cell: str, number: int) -> int:
-        """Return the stamp of a calendar date.
-
-        Raises:
-            MagycError: the cell is neither a date nor a number in the range of the unit.
-        """
+        """Return the stamp of a calendar date."""
         try:
             value = Decimal(cell)
         except InvalidOperation:

@@ -11,7 +11,7 @@ from typing import Any, overload
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import read
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.storage.paths import expect_path
+from magyc_gtsam.storage.files import expect_path
 
 SUFFIXES = (".mcap", ".ulg", ".bin", ".csv", ".txt", ".tsv", ".dat", ".log")
 _PATTERN = ("*", "?", "[")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
+from pathlib import Path
 
 from magyc_gtsam.factors.errors import MagycError
 
@@ -11,6 +13,35 @@ LARGEST_CHUNK = 1 << 28  # bytes, unpacked; recorders write chunks of 1 to 16 MB
 
 class Damage(MagycError):
     """Error of a record or chunk that cannot be read, although the rest of the file can."""
+
+
+# Limit of the unpacked size: a multiple of the file's size, and bytes. Measurements pack to 1/5, headers to 1/10.
+UNPACKED = (100, 1 << 26)
+
+
+def allowance(path: Path, what: str = "", limit: tuple[int, int] | None = None) -> Callable[[int], None]:
+    """Return a function that is told of bytes before they are kept, and raises once a file asks for too many.
+
+    Args:
+        path: the file.
+        what: what the file does then, and the remedy; the default is about unpacking.
+        limit: a multiple of the file's size, and bytes beside it; that of unpacking if None.
+    """
+    limit = UNPACKED if limit is None else limit
+    size = path.stat().st_size
+    left = limit[0] * size + limit[1]
+    what = what or (
+        f"unpacks to more than {limit[0]} times its {size} bytes, the limit that protects the memory; is it a log of "
+        "measurements?"
+    )
+
+    def take(count: int) -> None:
+        nonlocal left
+        left -= count
+        if left < 0:
+            raise MagycError(f"{path}: {what}")
+
+    return take
 
 
 def decompressed(data: bytes, compression: str, size: int, checksum: int) -> bytes:

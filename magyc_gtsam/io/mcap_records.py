@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.io.mcap_compression import LARGEST_CHUNK, Damage, decompressed
+from magyc_gtsam.io.mcap_compression import LARGEST_CHUNK, Damage, allowance, decompressed
 
 MAGIC = b"\x89MCAP0\r\n"
 METADATA = "magyc-gtsam"  # name of the record with data for which ROS messages have no field
@@ -35,8 +35,6 @@ _LARGEST_RECORD = 1 << 24  # bytes of a schema, a channel or metadata, and of a 
 _IMPOSSIBLE_LENGTH = 1 << 32  # bytes; a record that declares more is damaged
 _MOST_OTHERS = 100_000  # schemas, channels and records of other kinds in a chunk
 _BLOCK = 1 << 22  # bytes of messages outside of chunks that form a block
-# Limit of the unpacked size: a multiple of the file's size, and bytes. Measurements pack to 1/5, headers to 1/10.
-UNPACKED = (100, 1 << 26)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +71,7 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
         MagycError: not an MCAP file, or it unpacks to more than the limit.
     """
     size = os.path.getsize(path)
-    budget = UNPACKED[0] * size + UNPACKED[1]
+    take = allowance(path)
     whole = damaged = False
     losses: dict[str, list[str]] = {"chunk": [], "record": [], "message": []}
     with open(path, "rb") as file:
@@ -99,12 +97,7 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
                     if opcode == Opcode.CHUNK:
                         report(end / size)
                         data = unpacked(content)
-                        budget -= len(data)
-                        if budget < 0:
-                            raise MagycError(
-                                f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, the limit that "
-                                "protects the memory; is it a log of measurements?"
-                            )
+                        take(len(data))
                         yield from broken_up(data)
                     else:
                         yield parsed(opcode, content)

@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.mounting import euler, mounting
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -49,14 +49,6 @@ class Parameters:
         return np.column_stack([self.at(pattern.format(axis), stamp, default) for axis in "XYZ"])
 
 
-@dataclass(frozen=True)
-class Uncalibrated:
-    """Values (n, 3) with the calibration undone, and notes on it."""
-
-    value: Array
-    notes: tuple[str, ...]
-
-
 def undo(
     kind: Literal["MAG", "GYRO"],
     logged: Array,
@@ -66,8 +58,8 @@ def undo(
     *,
     corrected: bool,
     rotated: bool,
-) -> Uncalibrated:
-    """Return raw values in the frame of the vehicle.
+) -> tuple[Array, list[str]]:
+    """Return raw values (n, 3) in the frame of the vehicle, and notes on the calibration that was undone.
 
     Args:
         kind: kind of sensor.
@@ -104,15 +96,11 @@ def undo(
     if not np.allclose(rotation, np.eye(3)):
         angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
         notes.append(f"{kind}: values are in the vehicle's frame, {angle:.2f}° from the sensor's")
-    return Uncalibrated(value @ rotation.T, tuple(notes))
+    return value @ rotation.T, notes
 
 
 def _index(kind: str, parameters: Parameters, device: int | None, corrected: bool) -> tuple[int | None, list[str]]:
-    """Return the number n of the CAL_MAGn or CAL_GYROn parameters of the sensor, None if it has none, and notes.
-
-    Raises:
-        MagycError: a calibration was applied, but the log does not say which.
-    """
+    """Return the number n of the CAL_MAGn or CAL_GYROn parameters of the sensor, None if it has none, and notes."""
     identifiers = {n: int(parameters.initial.get(f"CAL_{kind}{n}_ID", 0)) for n in _INSTANCES}
     known = [n for n, identifier in identifiers.items() if identifier != 0]
     if device is not None:
@@ -167,3 +155,66 @@ def _rotation(prefix: str, parameters: Parameters) -> Array:
         return mounting(number)
     fine = euler(*(get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"))
     return fine @ mounting(int(get("SENS_BOARD_ROT", 0)))
+
+
+# Roll, pitch, yaw in degrees by number; applied in the order yaw, pitch, roll about the moving axes.
+_EULER = (
+    *((0, 0, yaw) for yaw in range(0, 360, 45)),
+    *(
+        (180, 0, 0),
+        (180, 0, 45),
+        (180, 0, 90),
+        (180, 0, 135),
+        (0, 180, 0),
+        (180, 0, 225),
+        (180, 0, 270),
+        (180, 0, 315),
+    ),
+    *(
+        (90, 0, 0),
+        (90, 0, 45),
+        (90, 0, 90),
+        (90, 0, 135),
+        (270, 0, 0),
+        (270, 0, 45),
+        (270, 0, 90),
+        (270, 0, 135),
+    ),
+    *(
+        (0, 90, 0),
+        (0, 270, 0),
+        (0, 180, 90),
+        (0, 180, 270),
+        (90, 90, 0),
+        (180, 90, 0),
+        (270, 90, 0),
+        (90, 180, 0),
+    ),
+    *(
+        (270, 180, 0),
+        (90, 270, 0),
+        (180, 270, 0),
+        (270, 270, 0),
+        (90, 180, 90),
+        (90, 0, 270),
+        (90, 68.8, 293.3),
+    ),
+    *((0, 315, 0), (90, 315, 0)),
+)
+
+
+def euler(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of three angles in degrees."""
+    matrix: NDArray[np.float64] = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
+    return matrix
+
+
+def mounting(number: int) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) sensor→board of a numbered orientation.
+
+    Raises:
+        MagycError: the number is unknown.
+    """
+    if not 0 <= number < len(_EULER):
+        raise MagycError(f"sensor orientation: must be 0 to {len(_EULER) - 1}, got {number}")
+    return euler(*_EULER[number])

@@ -17,8 +17,8 @@ from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo
-from magyc_gtsam.io.mcap_compression import LARGEST_CHUNK, Damage, decompressed
-from magyc_gtsam.io.mcap_records import UNPACKED, Block
+from magyc_gtsam.io.mcap_compression import LARGEST_CHUNK, Damage, allowance, decompressed
+from magyc_gtsam.io.mcap_records import Block
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_log import RosLog, collected, info_of, recording_of
 from magyc_gtsam.recording import Recording
@@ -136,13 +136,11 @@ def _limit_unpacking(bag: Any, path: Path) -> None:
     """
     from rosbags.rosbag1.reader import Header, RecordType
 
-    size = path.stat().st_size
-    budget = UNPACKED[0] * size + UNPACKED[1]
+    take = allowance(path)
     kept: dict[int, bytes] = {}  # {place: content}, the most recently used last
 
     def limited(place: int, compression: str, declared: int) -> Callable[[bytes], bytes]:
         def unpack(data: bytes) -> bytes:
-            nonlocal budget
             if place in kept:
                 kept[place] = kept.pop(place)
                 return kept[place]
@@ -151,12 +149,7 @@ def _limit_unpacking(bag: Any, path: Path) -> None:
                 if compression == "bz2"
                 else decompressed(data, compression, declared, 0)
             )
-            budget -= len(result)
-            if budget < 0:
-                raise MagycError(
-                    f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, the limit that protects the "
-                    "memory; is it a log of measurements?"
-                )
+            take(len(result))
             kept[place] = result
             while len(kept) > 1 and sum(map(len, kept.values())) > _KEPT:
                 del kept[next(iter(kept))]
@@ -172,11 +165,7 @@ def _limit_unpacking(bag: Any, path: Path) -> None:
 
 
 def _unbzipped(data: bytes, declared: int) -> bytes:
-    """Decompress a chunk in the format bz2.
-
-    Raises:
-        Damage: the chunk is larger than it declares, or declares more than the limit.
-    """
+    """Decompress a chunk in the format bz2."""
     if declared > LARGEST_CHUNK:
         raise Damage(f"a chunk declares {declared} bytes, more than the limit of {LARGEST_CHUNK}")
     result = bz2.BZ2Decompressor().decompress(data, max_length=declared + 1)

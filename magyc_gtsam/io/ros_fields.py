@@ -215,11 +215,7 @@ class FieldReader:
         return walk.table
 
     def _elements(self, places: dict[str, tuple[int, str, int | None]]) -> None:
-        """Add the places of the wanted single elements of arrays, such as "orientation_covariance[0]".
-
-        Raises:
-            MagycError: the message has no such field, or not so many elements.
-        """
+        """Add the places of the wanted single elements of arrays, such as "orientation_covariance[0]"."""
         for path in self._wanted or ():
             base, _, index = path.partition("[")
             offset, code, count = places.get(base, (0, "V", None))

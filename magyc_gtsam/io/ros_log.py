@@ -13,6 +13,7 @@ from mcap.records import Channel, Schema
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.log_info import LogInfo, Source
+from magyc_gtsam.io.mcap_compression import allowance
 from magyc_gtsam.io.mcap_records import Block
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
@@ -93,19 +94,11 @@ def collected(
     Raises:
         MagycError: there is no message, or the numbers exceed the limit for a file of this size.
     """
-    size = path.stat().st_size
-    budget = _KEPT[0] * size + _KEPT[1]
-
-    def grant(count: int) -> None:
-        nonlocal budget
-        budget -= count
-        if budget < 0:
-            raise MagycError(
-                f"{path}: holds more numbers than {_KEPT[0]} times its {size} bytes; read only the channels that are "
-                "needed (channels=), or none (channels=[])"
-            )
-
-    topics = Topics(wanted, request, notes, grant=grant)
+    much = (
+        f"holds more numbers than {_KEPT[0]} times its {path.stat().st_size} bytes; read only the channels that are "
+        "needed (channels=), or none (channels=[])"
+    )
+    topics = Topics(wanted, request, notes, grant=allowance(path, much, _KEPT))
     for record in records:
         topics.keep(record)
     topics.finish()
@@ -155,11 +148,7 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
 
 
 def _channels(topics: dict[str, Topic], used: set[str], request: Request, notes: list[str]) -> dict[str, Stream]:
-    """Return the channels: those that the caller named, else all numbers in topics that no sensor `used`.
-
-    Raises:
-        MagycError: a channel that the caller named is missing or cannot be read.
-    """
+    """Return the channels: those that the caller named, else all numbers in topics that no sensor `used`."""
     result: dict[str, Stream] = {}
     wanted = request.channels
     for topic in topics.values():

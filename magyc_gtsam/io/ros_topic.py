@@ -100,11 +100,7 @@ class Topic:
             self._value.add(value[:, :width])
 
     def _field_reader(self) -> FieldReader:
-        """Return the reader of the messages.
-
-        Raises:
-            MagycError: the encoding or the type is not supported.
-        """
+        """Return the reader of the messages."""
         kind = self.type
         unsupported = MagycError(
             f"{self.name} ({self.schema.name}): {self.encoding} with a schema in {self.schema.encoding!r} "

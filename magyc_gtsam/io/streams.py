@@ -128,11 +128,7 @@ def assemble(
 
 
 def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -> Stream:
-    """Return the stream finite, ascending and without duplicates, and note what was changed.
-
-    Raises:
-        MagycError: an axis is absent, the clock was set, or one stamp has two values.
-    """
+    """Return the stream finite, ascending and without duplicates, and note what was changed."""
     stream = _finite(stream, role, notes)
     if role == "magnetic_field":
         stream = _measured(stream, in_tesla, notes)
@@ -162,11 +158,7 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
 
 
 def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
-    """Drop the samples that are not finite.
-
-    Raises:
-        MagycError: an axis of a sensor is absent.
-    """
+    """Drop the samples that are not finite."""
     finite: NDArray[np.bool_] = np.isfinite(stream.value)
     if finite.all():
         return stream
@@ -201,11 +193,7 @@ def _measured(stream: Stream, in_tesla: bool, notes: list[str]) -> Stream:
 
 
 def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
-    """Drop samples that were recorded twice.
-
-    Raises:
-        MagycError: one stamp has two different values.
-    """
+    """Drop samples that were recorded twice."""
     repeated = np.flatnonzero(np.diff(stream.stamp) == 0)
     if not len(repeated):
         return stream

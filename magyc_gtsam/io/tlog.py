@@ -11,10 +11,31 @@ from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo, Source
-from magyc_gtsam.io.mavlink_messages import FILTERED, MESSAGES
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
+
+_GRAVITY = 9.80665  # m/s²
+
+Fields = dict[str, tuple[tuple[str, ...], float]]
+_MILLI: Fields = {
+    "magnetic_field": (("xmag", "ymag", "zmag"), 1e-7),
+    "angular_rate": (("xgyro", "ygyro", "zgyro"), 1e-3),
+    "acceleration": (("xacc", "yacc", "zacc"), _GRAVITY * 1e-3),
+}
+_HIGHRES: Fields = {
+    "magnetic_field": (("xmag", "ymag", "zmag"), 1e-4),
+    "angular_rate": (("xgyro", "ygyro", "zgyro"), 1.0),
+    "acceleration": (("xacc", "yacc", "zacc"), 1.0),
+}
+# {message: (its field of time, ns per unit of it, {sensor: (fields, their unit in SI)})}, best first. Autopilots fill
+# RAW_IMU in the units of SCALED_IMU.
+MESSAGES: dict[str, tuple[str, int, Fields]] = {
+    "HIGHRES_IMU": ("time_usec", 1_000, _HIGHRES),
+    "RAW_IMU": ("time_usec", 1_000, _MILLI),
+    **{f"SCALED_IMU{k}": ("time_boot_ms", 1_000_000, _MILLI) for k in ("", "2", "3")},
+}
+FILTERED = "telemetry: the field includes the autopilot's calibration"
 
 
 def read(path: Path, request: Request) -> Recording:

@@ -105,11 +105,7 @@ def info(path: Path) -> LogInfo:
 def _find(
     messages: list[Message], sensor: str, named: str | None, notes: list[str] | None = None
 ) -> tuple[Message, Array] | None:
-    """Return the message of a sensor and its values (n, 3): the one that is named, else the one with most samples.
-
-    Raises:
-        MagycError: there is no message with that name.
-    """
+    """Return the message of a sensor and its values (n, 3): the one that is named, else the one with most samples."""
     fields = _MESSAGES[sensor]
     values = [(m, m.vector(fields[m.name])) for m in messages if m.name in fields]
     candidates = [(m, v) for m, v in values if v is not None]
@@ -136,11 +132,7 @@ def _find(
 
 
 def _magnetometer(messages: list[Message], parameters: Parameters, request: Request, notes: list[str]) -> Stream:
-    """Return the magnetometer with PX4's calibration undone.
-
-    Raises:
-        MagycError: the log has no magnetometer, or the calibration cannot be undone.
-    """
+    """Return the magnetometer with PX4's calibration undone."""
     found = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
     if found is None:
         raise MagycError(
@@ -158,7 +150,7 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
     if message.name == "vehicle_magnetometer":
         _refuse_estimated_bias(messages)
     # Before version 1.11 the driver corrected sensor_mag, which then also had x_raw; it is never rotated.
-    undone = undo(
+    raw, undone = undo(
         "MAG",
         logged,
         stamp,
@@ -167,9 +159,9 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
         corrected=message.name != "sensor_mag" or "x_raw" in message.data,
         rotated=message.name != "sensor_mag",
     )
-    notes.extend(undone.notes)
+    notes.extend(undone)
     scale = request.scale("magnetic_field", _GAUSS, notes)
-    return Stream(message.label, stamp * 1000, undone.value * scale)
+    return Stream(message.label, stamp * 1000, raw * scale)
 
 
 def _refuse_estimated_bias(messages: list[Message]) -> None:
@@ -199,7 +191,7 @@ def _gyroscope(
     except MagycError as error:  # the log changes between gyroscopes, which only changes the bias to estimate
         device = None
         notes.append(str(error))
-    undone = undo(
+    raw, undone = undo(
         "GYRO",
         logged,
         message.stamp,
@@ -208,11 +200,11 @@ def _gyroscope(
         corrected=combined or "x_raw" in message.data,
         rotated=combined,
     )
-    notes.extend(undone.notes)
+    notes.extend(undone)
     if parameters.initial.get("TC_G_ENABLE", 0):
         notes.append("the gyroscope's thermal correction (TC_G_*) was applied in flight and is kept")
     scale = request.scale("angular_rate", notes=notes)
-    stream = Stream(message.label, message.stamp * 1000, undone.value * scale)
+    stream = Stream(message.label, message.stamp * 1000, raw * scale)
     if combined and ("gyro_integral_dt" in message.data):
         notes.append(
             "sensor_combined holds delta angles over gyro_integral_dt: the angular rate is an interval mean"
@@ -240,11 +232,7 @@ def _attitude(messages: list[Message], request: Request, notes: list[str]) -> St
 
 
 def _channels(messages: list[Message], request: Request) -> dict[str, Stream]:
-    """Return the channels that the log has.
-
-    Raises:
-        MagycError: a channel that the caller named is missing.
-    """
+    """Return the channels that the log has."""
     result = {}
     for name in request.channels if request.channels is not None else _CHANNELS:
         label, _, member = name.partition(".")

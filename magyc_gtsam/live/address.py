@@ -7,6 +7,7 @@ from urllib.parse import parse_qs
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
+from magyc_gtsam.live.line_sources import BAUD, JsonLines, SerialLines, UdpLines
 from magyc_gtsam.live.source import LiveSource
 
 FORMS = "a growing MCAP file, - (JSON lines), udp://[HOST]:PORT, serial://PORT?baud=N, mavlink://udpin:HOST:PORT, ros2://"
@@ -28,8 +29,6 @@ def open_source(text: str, request: Request) -> LiveSource:
         MagycError: the address is not valid, or the source cannot be opened.
     """
     if text == "-":
-        from magyc_gtsam.live.json_lines import JsonLines
-
         return JsonLines(0, request)
     if is_file(text):
         from magyc_gtsam.live.mcap_follow import McapFollower
@@ -45,13 +44,9 @@ def open_source(text: str, request: Request) -> LiveSource:
     if kind not in known or not options.keys() <= known[kind]:
         raise MagycError(f"{text}: unknown kind of source; use one of {FORMS}")
     if kind == "udp":
-        from magyc_gtsam.live.udp import UdpLines
-
         host, _, port = where.rpartition(":")
         return UdpLines(host, _number(text, port, 65535), request)
     if kind == "serial":
-        from magyc_gtsam.live.serial_port import BAUD, SerialLines
-
         return SerialLines(where, _number(text, options.get("baud", str(BAUD)), 20_000_000), request)
     if kind == "mavlink":
         from magyc_gtsam.live import mavlink

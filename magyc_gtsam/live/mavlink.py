@@ -18,8 +18,8 @@ import numpy as np
 from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.io.mavlink_messages import FILTERED, MESSAGES
 from magyc_gtsam.io.request import Request
+from magyc_gtsam.io.tlog import FILTERED, MESSAGES
 from magyc_gtsam.live.arrival import ArrivalClock
 from magyc_gtsam.live.source import SENSORS, NewSamples, samples_of
 

@@ -16,8 +16,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array
-from magyc_gtsam.storage.paths import expect_path
-from magyc_gtsam.storage.whole_file import whole_file
+from magyc_gtsam.storage.files import expect_path, whole_file
 
 _FORMAT = "magyc-gtsam online state 16"
 

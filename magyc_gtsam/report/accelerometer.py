@@ -13,7 +13,7 @@ from magyc_gtsam.recording import Array, Mask, Recording
 from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.words import Number, uncertain
-from magyc_gtsam.storage.whole_file import write_text
+from magyc_gtsam.storage.files import write_text
 
 
 def write_accelerometer_report(

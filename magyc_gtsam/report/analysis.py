@@ -1,9 +1,9 @@
-"""Computation of the numbers in the report's figures, from a recording and its calibration."""
+"""The numbers in the figures of reports, from a recording and its calibration."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from magyc_gtsam.level_turn import vertical
 from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.time_base import interpolated
+from magyc_gtsam.storage.json_types import json_types
 
 DISTURBED_WEIGHT = 0.5  # a window with a robust weight below this counts as disturbed
 _MOST_ROWS = 200_000  # samples per page, half an hour at 100 Hz; a longer log is thinned to every k-th sample
@@ -151,3 +152,37 @@ def spread(field: Array, cube: float, most: int = 3000) -> NDArray[np.int_]:
     cell = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     _, first = np.unique(cell, return_index=True)
     return first[:: -(-len(first) // most)]
+
+
+_STEPS = 400
+_DIGITS = 4
+
+
+def strip_of(recording: Recording) -> dict[str, Any]:
+    """Return a summary of the field strength and the turn rate over time, as JSON types.
+
+    Args:
+        recording: a recording of any length.
+
+    Returns:
+        "start" and "end" of the recording in s, "field" in µT (or counts) and "rate" in °/s; each of the two with its
+        "unit" and the lists "time", "mean", "low" and "high". "rate" is None without a gyroscope.
+    """
+    shown, unit = recording.field_shown
+    time, field = recording.magnetometer
+    result: dict[str, Any] = {
+        "start": float(recording.time[0]),
+        "end": float(recording.time[-1]),
+        "field": _steps(time, np.linalg.norm(field, axis=1) * shown) | {"unit": unit},
+        "rate": None,
+    }
+    if recording.angular_rate is not None:
+        time, rate = recording.gyroscope
+        result["rate"] = _steps(time, np.degrees(np.linalg.norm(rate, axis=1))) | {"unit": "°/s"}
+    return result
+
+
+def _steps(time: Array, value: Array) -> dict[str, Any]:
+    names = ("time", "mean", "low", "high")
+    columns = zip(names, summary(time, value, most=_STEPS), strict=True)
+    return {name: json_types(np.round(column, _DIGITS)) for name, column in columns}

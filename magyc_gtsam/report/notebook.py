@@ -21,8 +21,7 @@ from magyc_gtsam.report.analysis import field_history
 from magyc_gtsam.report.gap_verdict import judged_gap
 from magyc_gtsam.report.gap_words import effect_value
 from magyc_gtsam.report.verdict import judged
-from magyc_gtsam.storage.paths import expect_path
-from magyc_gtsam.storage.whole_file import whole_file
+from magyc_gtsam.storage.files import expect_path, whole_file
 from magyc_gtsam.study.outcome import Comparison
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ def plot_calibration(calibration: Calibration, recording: Recording | None = Non
 
 def plot_gap(gap: Gap) -> Figure:
     """Plot the prediction before and after, and the misfit maps."""
-    from magyc_gtsam.report import gap_plots
+    from magyc_gtsam.report import plots
 
     later = {each.over: each for each in gap.after.maps}
     shown = [each for each in gap.before.maps if len(each.centre) > 1][:4]
@@ -68,10 +67,10 @@ def plot_gap(gap: Gap) -> Figure:
     halves: Any = figure.subfigures(2, 1)
     upper, lower = halves
     if len(gap.before.open_loop.time):
-        gap_plots.open_loop(upper, gap.before.open_loop, gap.after.open_loop)
+        plots.open_loop(upper, gap.before.open_loop, gap.after.open_loop)
     parts = np.ravel(lower.subfigures(1, len(shown))) if shown else ()
     for part, each in zip(parts, shown, strict=True):
-        gap_plots.gap_map(part, each, each if gap.after is gap.before else later.get(each.over, each))
+        plots.gap_map(part, each, each if gap.after is gap.before else later.get(each.over, each))
     figure.suptitle(judged_gap(gap).title, fontsize=10)
     return figure
 

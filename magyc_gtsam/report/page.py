@@ -26,8 +26,7 @@ from magyc_gtsam.report.analysis import (
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart, clock, origin, over_time, sphere
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict, degrees, judged
-from magyc_gtsam.storage.paths import expect_path
-from magyc_gtsam.storage.whole_file import write_text
+from magyc_gtsam.storage.files import expect_path, write_text
 
 _MICRO = 1e6
 _MOST_RESIDUALS = 1500  # windows drawn per chart

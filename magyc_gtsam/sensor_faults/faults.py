@@ -11,12 +11,11 @@ from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
 from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.repeats import Repeats
-from magyc_gtsam.sensor_faults.single_samples import FaultySamples, found_in_turn
+from magyc_gtsam.sensor_faults.single_samples import FaultySamples, ZeroRates, Zeros, found_in_turn
 from magyc_gtsam.sensor_faults.spikes import Spikes
 from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes
 from magyc_gtsam.sensor_faults.stuck_finding import Stuck, named
 from magyc_gtsam.sensor_faults.waiting_field import WaitingField
-from magyc_gtsam.sensor_faults.zeros import ZeroRates, Zeros
 
 
 class SensorFaults:

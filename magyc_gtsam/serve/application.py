@@ -22,12 +22,11 @@ from magyc_gtsam.serve.events import Events
 from magyc_gtsam.serve.jobs import Job, Jobs
 from magyc_gtsam.serve.limits import Limits
 from magyc_gtsam.serve.live import STATE, Live
-from magyc_gtsam.serve.orders import order, reading
+from magyc_gtsam.serve.orders import order, reading, source_of
 from magyc_gtsam.serve.page import page
 from magyc_gtsam.serve.ports import serial_ports
 from magyc_gtsam.serve.results import details
 from magyc_gtsam.serve.safety import Guard
-from magyc_gtsam.serve.sources import source_of
 from magyc_gtsam.serve.store import Store, StoreFull
 
 # A report's own script may run, but cannot reach this server, the network or the page beside it.

@@ -14,7 +14,7 @@ from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.workers import end, started
-from magyc_gtsam.storage.whole_file import write_text
+from magyc_gtsam.storage.files import write_text
 
 CALIBRATION, STATE, RUN = "online-calibration.yaml", "online.state", "live.json"
 _PICTURE, _EVERY = 0.4, 5.0  # s between two pictures, and between two writes of calibration and state

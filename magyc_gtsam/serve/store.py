@@ -16,7 +16,7 @@ from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.limits import Limits
-from magyc_gtsam.storage.whole_file import write_text
+from magyc_gtsam.storage.files import write_text
 
 RECORD = "serve.json"  # the server's record of a result
 _UPLOADS = ".magyc-gtsam-uploads"

@@ -5,8 +5,7 @@ The diagnosing code (`magyc_gtsam.gap`) must not import this package, which cont
 
 from __future__ import annotations
 
-from magyc_gtsam.simulation.disturbance import disturb
-from magyc_gtsam.simulation.injection import inject
+from magyc_gtsam.simulation.injection import disturb, inject
 from magyc_gtsam.simulation.motion import AMPLITUDES, MOTIONS, RATES
 from magyc_gtsam.simulation.sensor import (
     FIELD,

@@ -23,7 +23,6 @@ from magyc_gtsam.metrics import model, normalised_model_error
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import disturb, simulate
 from magyc_gtsam.study.drawing import Panel, draw_panels
-from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 UNIT = 1e-6  # T
 SCALE, OFFSET, OUTLIER = 100.0, 20.0, 100.0  # σ_K, σ_b and ζ of (35), (36) and below (38)
@@ -201,15 +200,8 @@ def units(
     ]
 
 
-def autocal_rows(
-    chosen: Sequence[AutocalCase], running: Running = HERE, names: Sequence[str] | None = None
-) -> list[Row]:
-    """Return one row per recording and method of VARIANTS, or per named one of them."""
-    return study_rows("autocal", partial(worked, names=names), chosen, running)
-
-
 def worked(unit: AutocalCase, names: Sequence[str] | None = None) -> Row:
-    """Run all methods on one recording; the error is infinite for a method without a calibration."""
+    """Run all methods of VARIANTS, or those named; the error is infinite for a method without a calibration."""
     part = PARTS[unit.part]
     recording, truth = part.draw(unit.value, unit.seed)
     rows = dict(variants(names)) | ({"smoother": ("smoother", {})} if part.smoother else {})

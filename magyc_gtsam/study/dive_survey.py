@@ -9,8 +9,7 @@ nearer to its start (column `cost`). The paper's own instrument has a tenth of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +25,7 @@ from magyc_gtsam.factors.gyro_derivative import gyro_derivative_error
 from magyc_gtsam.metrics import heading_deviation
 from magyc_gtsam.simulation import FIELD, MILLIGAUSS, Simulation, simulate
 from magyc_gtsam.study.drawing import Panel, draw_panels
-from magyc_gtsam.study.rows import HERE, Running, study_rows
+from magyc_gtsam.study.rows import Cell
 
 METHODS = ("magyc-bfg", "magyc-ifg", "magfactor3", "ellipsoid", "twostep", "sar-ls", "sar-kf", "smoother")
 NOISES = (1.0, 0.3, 0.1)  # factors of 10 mG and 5 mrad/s; the paper's instrument has about 0.1 of it
@@ -35,6 +34,7 @@ SAID = (
     "magfactor3 improve the heading, which is best with the former, and no other method gives a result (degrees lost)"
 )
 """The paper's statement about its Fig. 3b, whose numbers are lost."""
+WAYS = ("dive to survey", "survey to dive")
 _DURATION, _RATE = 600.0, 10.0  # s, Hz
 
 
@@ -48,15 +48,6 @@ class DivePair(NamedTuple):
 def units(runs: int) -> list[DivePair]:
     """Return `runs` pairs at each noise."""
     return [DivePair(noise, seed) for noise in NOISES for seed in range(runs)]
-
-
-def dive_survey_rows(
-    chosen: Sequence[DivePair], running: Running = HERE, methods: Sequence[str] = METHODS
-) -> list[Row]:
-    """Return one row per pair, method and direction; "raw" means no calibration, "truth" shows the effect of the noise
-    alone.
-    """
-    return study_rows("dive-survey", partial(worked, methods=methods), chosen, running)
 
 
 def pair(unit: DivePair) -> tuple[Simulation, Simulation]:
@@ -76,10 +67,13 @@ def pair(unit: DivePair) -> tuple[Simulation, Simulation]:
 
 
 def worked(unit: DivePair, methods: Sequence[str] = METHODS) -> Row:
-    """Return the heading deviations, deg, of calibrations on one recording of a pair, judged on the other one."""
+    """Return the heading deviations, deg, of calibrations on one recording of a pair, judged on the other one.
+
+    "raw" means no calibration, "truth" shows the effect of the noise alone.
+    """
     dive, survey = pair(unit)
     columns: dict[str, list[object]] = {name: [] for name in ("method", "way", "heading", "trusted", "cost")}
-    for way, fitted, judge in (("dive to survey", dive, survey), ("survey to dive", survey, dive)):
+    for way, fitted, judge in zip(WAYS, (dive, survey), (survey, dive), strict=True):
         for name in ("raw", *methods, "truth"):
             values = (np.inf, False, np.nan)
             try:
@@ -126,33 +120,18 @@ def cost(calibration: Calibration, fitted: Simulation) -> float:
     return squares(calibration) / squares(fitted.truth)
 
 
-@dataclass(frozen=True)
-class MethodOnDives:
-    """One method in one direction: medians of heading deviation (°) and cost over the truth's, share trusted."""
-
-    heading: float
-    cost: float
-    trusted: float
-
-
-def cells(rows: Sequence[Row], noise: float) -> dict[str, dict[str, MethodOnDives]]:
-    """Return {method: {way: result}} at a noise."""
-    result: dict[str, dict[str, MethodOnDives]] = {}
-    own = [row for row in rows if row["noise"] == noise]
-    for method in dict.fromkeys(row["method"] for row in own):
-        for way in dict.fromkeys(row["way"] for row in own):
-            each = [row for row in own if (row["method"], row["way"]) == (method, way)]
-            heading, costs, trusted = ([row[name] for row in each] for name in ("heading", "cost", "trusted"))
-            cell = MethodOnDives(float(np.median(heading)), float(np.median(costs)), float(np.mean(trusted)))
-            result.setdefault(method, {})[way] = cell
-    return result
+def median_heading(rows: Sequence[Row], noise: float, method: str, way: str) -> float:
+    """Return the median heading deviation, deg, of a method in one direction at a noise."""
+    return float(np.median(Cell(rows, noise=noise, method=method, way=way).column("heading")))
 
 
 def draw(target: Path, rows: Sequence[Row]) -> None:
     """Draw the median heading deviation over the noise, one panel per direction."""
-    each = [cells(rows, noise) for noise in NOISES]
     panels = []
-    for way in next(iter(each[0].values())):
-        lines = {method: [found[method][way].heading for found in each] for method in each[0]}
+    for way in WAYS:
+        lines = {
+            method: [median_heading(rows, noise, method, way) for noise in NOISES]
+            for method in dict.fromkeys(row["method"] for row in rows)
+        }
         panels.append(Panel(way, "× published noise", "heading °", NOISES, lines))
     draw_panels(target, panels)

@@ -6,8 +6,8 @@ durations. The result is the heading error over a level turn.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.level_turn import calibrated
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import simulate
-from magyc_gtsam.study.rows import HERE, Running, study_rows
+from magyc_gtsam.study.rows import Cell
 
 PITCHES = (2.0, 5.0, 10.0, 20.0, 45.0)  # deg
 HEADINGS = (90.0, 360.0)  # deg
@@ -36,23 +36,6 @@ class DurationCase(NamedTuple):
     seed: int
 
 
-@dataclass(frozen=True)
-class ErrorsByDuration:
-    """Results over the runs of one motion and duration.
-
-    Attributes:
-        error: root-mean-square heading error over a level turn, deg.
-        hard_iron: root-mean-square hard iron error per axis, T.
-        stated: root mean square of the heading's stated sigma, deg.
-        refused: share of the runs that are not trusted.
-    """
-
-    error: float
-    hard_iron: float
-    stated: float
-    refused: float
-
-
 def units(runs: int) -> list[DurationCase]:
     """Return the units of the whole study."""
     return [
@@ -60,13 +43,12 @@ def units(runs: int) -> list[DurationCase]:
     ]
 
 
-def duration_rows(chosen: Sequence[DurationCase], running: Running = HERE) -> list[Row]:
-    """Return one row per unit and duration."""
-    return study_rows("duration", worked, chosen, running)
-
-
 def worked(unit: DurationCase) -> Row:
-    """Return one row per entry of `MINUTES`, with squared errors."""
+    """Return one row per entry of `MINUTES`.
+
+    Their columns are the mean square of the heading error over a level turn and of its stated sigma, deg², of the hard
+    iron error per axis, T², and whether the result is not trusted.
+    """
     simulation = simulate((_ROLL, unit.pitch, unit.heading), 60 * max(MINUTES), seed=unit.seed)
     whole = replace(simulation.recording, attitude=None)
     truth = simulation.truth
@@ -87,32 +69,18 @@ def worked(unit: DurationCase) -> Row:
     return row
 
 
-def cells(rows: Sequence[Row], heading: float) -> Mapping[tuple[float, float], ErrorsByDuration]:
-    """Return {(pitch, minutes): result} at an amplitude of heading."""
-    result = {}
-    for pitch in PITCHES:
-        for minutes in MINUTES:
-            own = [
-                row for row in rows if (row["heading"], row["pitch"], row["minutes"]) == (heading, pitch, minutes)
-            ]
-
-            def mean(name: str, own: Sequence[Row] = own) -> float:
-                return float(np.mean([row[name] for row in own]))
-
-            result[pitch, minutes] = ErrorsByDuration(
-                mean("error") ** 0.5, mean("hard_iron") ** 0.5, mean("stated") ** 0.5, mean("refused")
-            )
-    return result
-
-
 def draw(target: Path, rows: Sequence[Row]) -> None:
     """Draw contours of the heading error over minutes and pitch, one panel per amplitude of heading."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     for axes, heading in zip(figure.subplots(1, len(HEADINGS), sharey=True), HEADINGS, strict=True):
-        of_motion = cells(rows, heading)
-        error: Array = np.array([[of_motion[pitch, minutes].error for minutes in MINUTES] for pitch in PITCHES])
+        error: Array = np.array(
+            [
+                [Cell(rows, heading=heading, pitch=pitch, minutes=minutes).root("error") for minutes in MINUTES]
+                for pitch in PITCHES
+            ]
+        )
         lines = axes.contour(MINUTES, PITCHES, error, levels=_CONTOURS, colors="#2b8cdb")
         axes.clabel(lines, fmt="%g°", fontsize=8)
         axes.set(xscale="log", yscale="log", xlabel="minutes", title=f"heading ±{heading:g}°")

@@ -11,8 +11,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.autocal.autocal import inliers
 from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Mask, Recording
-from magyc_gtsam.study.heading import heading_error
-from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus, heading_error
 
 ROBUST = ("autocal", "smoother")  # methods that detect disturbed samples
 _MANY = 6.0  # joint sigmas from which two methods contradict each other

@@ -9,8 +9,8 @@ calibration whose matrix is wrong by some percent, and whether that is noticed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,55 +26,13 @@ from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import Simulation, simulate
 from magyc_gtsam.simulation.sensor import SOFT_IRON
 from magyc_gtsam.study.efficiency import FREEDOMS, error, nees
-from magyc_gtsam.study.known_facts import FACTS, fact_row, matrix_row
-from magyc_gtsam.study.rows import HERE, Running, study_rows
+from magyc_gtsam.study.known_facts import fact_row, matrix_row
 
 SKEWS = (0.0, 0.2, 0.7, 1.5)  # deg
 MOTIONS = ("wide", "moderate", "low", "tiny", "level")
 WAYS: Mapping[str, float | str] = {"asked": "auto", "never": 0, "always": np.radians(10.0)}
 LIMITED = (("tiny", 60.0), ("level", 600.0), ("ship", 600.0))
 PERCENTS = (0.2, 0.5, 1.0)
-
-
-@dataclass(frozen=True)
-class SkewCell:
-    """Results over the runs of one motion, misalignment and way.
-
-    Attributes:
-        heading: root-mean-square heading error over a level turn, deg.
-        hard_iron: root-mean-square hard iron error per axis, T.
-        nees, of_sensors: mean NEES of `FREEDOMS` degrees of freedom, by the stated covariance, and by that without the
-            model error, which the simulated instruments do not have.
-        decided, refused: shares of runs in which a misalignment was corrected, and of runs whose result was not
-            trusted.
-    """
-
-    heading: float
-    hard_iron: float
-    nees: float
-    of_sensors: float
-    decided: float
-    refused: float
-
-
-@dataclass(frozen=True)
-class FactCell:
-    """Results over the runs of one motion and prior knowledge.
-
-    Attributes:
-        error, stated: root mean squares of hard iron error and stated sigma per axis, T.
-        bound: root mean square of the Cramér–Rao bound per axis with that knowledge, as if it were right, T.
-        ratio, of_sensors: squared error relative to the stated covariance, and to that without the model error, per
-            degree of freedom.
-        refused: share of the runs that are not trusted.
-    """
-
-    error: float
-    bound: float
-    stated: float
-    ratio: float
-    of_sensors: float
-    refused: float
 
 
 class KnownCase(NamedTuple):
@@ -134,13 +92,15 @@ def units(seeds: Iterable[int], kinds: Iterable[str] = ("skew", "board", "fact",
     return [KnownCase(kind, *cell, seed) for seed in seeds for kind in kinds for cell in cells[kind]]
 
 
-def known_rows(chosen: Sequence[KnownCase], running: Running = HERE) -> list[Row]:
-    """Return one row per unit."""
-    return study_rows("known", worked, chosen, running)
-
-
 def worked(unit: KnownCase) -> Row:
-    """Return one row with a column "<way> <number>" for all ways and numbers of the unit's kind."""
+    """Return one row with a column "<way> <number>" for all ways and numbers of the unit's kind.
+
+    Of skews and boards the numbers are the squares of the heading error over a level turn, deg, and of the hard iron
+    error per axis, T; the NEES of `FREEDOMS` degrees of freedom by the stated covariance, and "of_sensors" by that
+    without the model error, which the simulated instruments do not have; whether a misalignment was corrected
+    ("decided"), and whether the result was not trusted ("refused"). Those of facts and matrices are of
+    `known_facts.fact_row`.
+    """
     if unit.kind in ("skew", "board"):
         found = _skew_row(unit)
     else:
@@ -167,44 +127,6 @@ def _skew_row(unit: KnownCase) -> dict[str, Row]:
             "refused": float(not calibration.trusted),
         }
     return rows
-
-
-def skew_cells(motion: str, degrees: float | None, rows: Sequence[Row]) -> dict[str, SkewCell]:
-    """Return {way of `WAYS`: result} of one misalignment, or with None of boards drawn from the prior."""
-    mean = _means(rows, "board", motion, 0.0) if degrees is None else _means(rows, "skew", motion, degrees)
-    return {
-        way: SkewCell(
-            mean(f"{way} heading") ** 0.5,
-            mean(f"{way} hard_iron") ** 0.5,
-            mean(f"{way} nees"),
-            mean(f"{way} of_sensors"),
-            mean(f"{way} decided"),
-            mean(f"{way} refused"),
-        )
-        for way in WAYS
-    }
-
-
-def fact_cells(motion: str, duration: float, rows: Sequence[Row]) -> dict[str, FactCell]:
-    """Return {prior knowledge of `FACTS`: result}, with aligned chips."""
-    mean = _means(rows, "fact", motion, duration)
-    return {way: _fact_cell(way, mean) for way in FACTS}
-
-
-def matrix_cell(motion: str, percent: float, rows: Sequence[Row]) -> FactCell:
-    """Return the result with a wrong earlier matrix."""
-    return _fact_cell("wrong", _means(rows, "matrix", motion, percent))
-
-
-def _fact_cell(way: str, mean: Callable[[str], float]) -> FactCell:
-    error, bound, stated = (mean(f"{way} {name}") ** 0.5 for name in ("error", "bound", "stated"))
-    ratio, of_sensors, refused = (mean(f"{way} {name}") for name in ("ratio", "of_sensors", "refused"))
-    return FactCell(error, bound, stated, ratio, of_sensors, refused)
-
-
-def _means(rows: Sequence[Row], kind: str, motion: str, size: float) -> Callable[[str], float]:
-    chosen = [row for row in rows if (row["kind"], row["motion"], row["size"]) == (kind, motion, size)]
-    return lambda name: float(np.mean([row[name] for row in chosen]))
 
 
 def band(runs: int, freedoms: int = FREEDOMS) -> tuple[float, float]:

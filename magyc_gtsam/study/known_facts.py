@@ -19,8 +19,7 @@ from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.online import OnlineCalibrator
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import Simulation, simulate
-from magyc_gtsam.study.bound import cramer_rao
-from magyc_gtsam.study.efficiency import error
+from magyc_gtsam.study.efficiency import cramer_rao, error
 
 FACTS = ("alone", "+ matrix", "+ strength", "+ dip", "online + matrix", "online + strength")
 _EARLIER = 990_001  # first seed of the earlier calibrations, one per run

@@ -46,7 +46,6 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.metrics import RunScores, model, model_cost, scores
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.study.drawing import Panel, draw_panels
-from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 # Accuracy 1/ρ, robustness in %, executions per second, as printed.
 PUBLISHED = {
@@ -179,13 +178,8 @@ def units(runs: int, conditions: Sequence[Condition]) -> list[ReviewCase]:
     return [ReviewCase(*condition, seed) for condition in dict.fromkeys(conditions) for seed in range(runs)]
 
 
-def review_rows(chosen: Sequence[ReviewCase], running: Running = HERE) -> list[Row]:
-    """Return one row per data set, method, and treatment of the samples (centred or as drawn)."""
-    return study_rows("review", worked, chosen, running)
-
-
 def worked(unit: ReviewCase) -> Row:
-    """Run all methods on one data set, by `calibrate` and on the samples as drawn."""
+    """Run all methods on one data set, by `calibrate` (centred) and on the samples as drawn."""
     gamma, beta, samples, noise, seed = unit
     data = draw(seed, samples=samples, beta=beta, gamma=gamma, noise=noise)
     recording = Recording(np.arange(samples) / RATE, data.y * STRENGTH)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from magyc_gtsam.engine import DIED, Progress, Row, run_many, write_rows
 
 
@@ -57,6 +59,25 @@ def study_rows(name: str, work: Callable[[Any], Row], units: Iterable[Any], runn
     if running.folder is not None:
         write_rows(running.folder / f"{name}.parquet", rows)
     return rows
+
+
+class Cell:
+    """The rows of a study under one condition, such as `motion="wide"`, and their averages."""
+
+    def __init__(self, rows: Iterable[Row], **condition: Any) -> None:
+        self._rows = [row for row in rows if all(row[name] == value for name, value in condition.items())]
+
+    def column(self, name: str) -> list[Any]:
+        """Return the values of a column."""
+        return [row[name] for row in self._rows]
+
+    def mean(self, name: str) -> float:
+        """Return the mean of a column."""
+        return float(np.mean(self.column(name)))
+
+    def root(self, name: str) -> float:
+        """Return the root of the mean of a column of squares."""
+        return float(self.mean(name) ** 0.5)
 
 
 def _text(value: Any) -> str:

@@ -27,9 +27,8 @@ from magyc_gtsam.factors.numbers import numbers
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array, Mask, Recording, Samples
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
+from magyc_gtsam.storage.files import expect_path, write_text
 from magyc_gtsam.storage.mapping import dump_yaml, load_mapping
-from magyc_gtsam.storage.paths import expect_path
-from magyc_gtsam.storage.whole_file import write_text
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 _FORMAT = "magyc-gtsam accelerometer calibration 1"

@@ -12,8 +12,7 @@ import numpy as np
 from magyc_gtsam.engine import Progress
 from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.storage.checksum import sha256
-from magyc_gtsam.storage.whole_file import whole_file
+from magyc_gtsam.storage.files import sha256, whole_file
 from magyc_gtsam.study.leaderboard.collections import COLLECTIONS
 from magyc_gtsam.study.leaderboard.phones import arrays_of, parts_of
 from magyc_gtsam.study.leaderboard.reading import FORMS

@@ -17,7 +17,7 @@ from magyc_gtsam.engine import Progress, Row, run_many, write_rows
 from magyc_gtsam.estimators import methods
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.storage.checksum import sha256
+from magyc_gtsam.storage.files import sha256
 from magyc_gtsam.study.comparison import run_methods
 from magyc_gtsam.study.leaderboard.collections import kind_of
 from magyc_gtsam.study.leaderboard.optics import Reference, reference_of

@@ -1,11 +1,13 @@
-"""Atomic writing of files, also by several processes at once."""
+"""Files of the package: atomic writing, also by several processes at once; checksums; the check of paths."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
 
@@ -71,3 +73,30 @@ def write_text(file: Path, text: str) -> None:
     """Write or replace a text file (UTF-8) in one step."""
     with whole_file(file) as part:
         part.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+_BLOCK = 1 << 20  # bytes read at a time
+
+
+def sha256(file: Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    with open(file, "rb") as opened:
+        while block := opened.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def expect_path(function: str, value: Any) -> Path:
+    """Return the argument `value` of `function` as a path.
+
+    Raises:
+        MagycError: it is empty, or not a path.
+    """
+    if isinstance(value, str | os.PathLike) and os.fspath(value):
+        return Path(value)
+    raise MagycError(f"{function}: the path of a file is needed, got {value!r:.60}")
