@@ -10,7 +10,6 @@ the process grew by while it read, over the arrays that it kept. The last column
 
 from __future__ import annotations
 
-import struct
 import subprocess
 import sys
 import tempfile
@@ -20,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import fuzz_files
 import numpy as np
 
 import magyc_gtsam as mg
@@ -35,28 +35,7 @@ def csv(path: Path, recording: mg.Recording) -> None:
 
 
 def dataflash(path: Path, recording: mg.Recording) -> None:
-    """As an autopilot writes it: formats, parameters, and compass and IMU in turn."""
-    formats = {
-        "FMT": (128, "BBnNZ", "<BB4s16s64s", "Type,Length,Name,Format,Columns"),
-        "PARM": (64, "QNf", "<Q16sf", "TimeUS,Name,Value"),
-        "MAG": (65, "QBhhhhhhhhhB", "<QBhhhhhhhhhB", "TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOX,MOY,MOZ,Health"),
-        "IMU": (66, "QBffffff", "<QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    }
-
-    def add(name: str, *values: object) -> bytes:
-        number, _, layout, _ = formats[name]
-        given = (v.encode() if isinstance(v, str) else v for v in values)
-        return bytes([0xA3, 0x95, number]) + struct.pack(layout, *given)
-
-    field = np.round(recording.magnetic_field * 1e7).astype(int).tolist()
-    rate = recording.angular_rate.tolist()
-    with open(path, "wb") as file:
-        for name, (number, code, layout, columns) in formats.items():
-            file.write(add("FMT", number, 3 + struct.calcsize(layout), name, code, columns))
-        file.write(add("PARM", 0, "COMPASS_OFS_X", 0.0))
-        for k, at in enumerate(np.round(recording.time * 1e6).astype(int).tolist()):
-            file.write(add("MAG", at, 0, *field[k], 0, 0, 0, 0, 0, 0, 1))
-            file.write(add("IMU", at, 0, *rate[k], 0.0, 0.0, -9.8))
+    path.write_bytes(fuzz_files.dataflash(path.parent, recording)[0])
 
 
 def mcap(path: Path, recording: mg.Recording) -> None:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.observability import Observability
-from magyc_gtsam.storage.mapping import dump_yaml, json_types
+from magyc_gtsam.storage.json_types import json_types
+from magyc_gtsam.storage.mapping import dump_yaml
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # a `Calibration`, which imports this module
@@ -22,7 +23,7 @@ def as_mapping(calibration: DataclassInstance) -> dict[str, Any]:
     """Return all fields of a calibration as JSON types, with the format's name."""
     result: dict[str, Any] = {"format": FORMAT}
     for f in fields(calibration):
-        result[f.name] = json_types(getattr(calibration, f.name))
+        result[f.name] = json_types(getattr(calibration, f.name), finite=False)
     return result
 
 

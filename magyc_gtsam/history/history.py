@@ -25,7 +25,8 @@ from magyc_gtsam.history.predicted import log_calibration, next_calibration
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.storage.files import expect_path, write_text
-from magyc_gtsam.storage.mapping import json_types, parse_json, parse_yaml
+from magyc_gtsam.storage.json_types import json_types
+from magyc_gtsam.storage.mapping import parse_json, parse_yaml
 
 _FORMAT = "magyc-gtsam history 3"
 _EARLIER = (
@@ -215,7 +216,7 @@ class History:
         """Return everything needed to restore the history, as JSON types."""
         return {
             "format": _FORMAT,
-            "options": json_types(self.options),
+            "options": json_types(self.options, finite=False),
             "model": asdict(self.model),
             "logs": [factor.to_dict() for factor in self.factors],
             "groups": [list(group) for group in self.groups],

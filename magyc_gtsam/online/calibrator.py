@@ -24,7 +24,7 @@ from magyc_gtsam.online.intake import Intake, scalar, vector
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
 from magyc_gtsam.sensor_faults.faults import SensorFaults
-from magyc_gtsam.storage.mapping import json_types
+from magyc_gtsam.storage.json_types import json_types
 
 _ENGINES = {  # method → "module:class"; the class takes the method's options as keywords
     "smoother": "magyc_gtsam.online.smoother:OnlineSmoother",
@@ -63,7 +63,7 @@ class OnlineCalibrator:
         check_field_strength(options.get("field_strength"))
         self.method = method
         # The state file needs an earlier calibration as JSON types.
-        self.options = json_types(options)
+        self.options = json_types(options, finite=False)
         self._engine: Engine = engine(**options)
         self._intake = Intake()
         self._faults = SensorFaults()

@@ -8,7 +8,6 @@ from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from magyc_gtsam.factors.errors import MagycError
@@ -149,15 +148,3 @@ def dump_yaml(data: Mapping[str, Any]) -> str:
         dict(data), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
     )
     return text
-
-
-def json_types(value: Any) -> Any:
-    """Return a value with numpy's numbers and arrays, and other mappings and tuples, as JSON types."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {name: json_types(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_types(each) for each in value]
-    to_dict = getattr(value, "to_dict", None)
-    return value if to_dict is None else json_types(to_dict())
