@@ -44,16 +44,27 @@ def test_a_change_in_the_smaller_part_is_found(seed: int, start: float, end: flo
 def test_a_hard_iron_that_jumps_to_and_fro_is_found() -> None:
     """As by a set/reset that fails; each stretch by itself would be too short, or hold what is not of it."""
     recording = wide(0)
-    away = np.isin(recording.time // 20, [1, 3, 4, 7, 10, 14, 16])
+    away = np.isin(recording.time // 14, [1, 3, 5, 8, 9, 12, 14, 17, 20, 23])
     changed = with_field(recording, away[:, None] * 5 * CHANGE)
     found = hard_iron_change(changed, fitted(changed), mg.calibrate(recording), SmootherOptions())
     assert found is not None
-    expected = [[20, 40], [60, 100], [140, 160], [200, 220], [280, 300], [320, 340]]
+    parts = [(1, 2), (3, 4), (5, 6), (8, 10), (12, 13), (14, 15), (17, 18), (20, 21), (23, 24)]
+    expected = 14 * np.array(parts)
     np.testing.assert_allclose(found.stretches, expected, atol=4)
     np.testing.assert_allclose(found.change, 5 * CHANGE, atol=1.2e-6)
     calibration = mg.calibrate(changed)
     assert not calibration.trusted
-    assert "the hard iron changed at 20 s and 40 s and 10 more times by 15 µT" in calibration.message
+    assert "the hard iron changed at 14 s and 28 s and 16 more times by 15 µT" in calibration.message
+
+
+def test_a_scale_that_changes_is_another_instrument() -> None:
+    """As of units that are mixed up: the place may change the field by 20 %, but not the hard iron with it."""
+    recording = wide(1)
+    later = recording.time > 240
+    scaled = replace(recording, magnetic_field=recording.magnetic_field * np.where(later, 1.2, 1.0)[:, None])
+    calibration = mg.calibrate(scaled)
+    assert not calibration.trusted
+    assert "the instrument is another one between 240 and" in calibration.message
 
 
 def fitted(recording: mg.Recording) -> Fit:

@@ -36,9 +36,12 @@ from magyc_gtsam.sensor_faults.cut_off import inside
 class _Limits:
     """Thresholds, set on vehicles of five kinds with a jump of 3 µT per axis, and on real logs without a jump."""
 
-    shortest: float = 15.0  # s measured in a stretch, and of a break between two; shorter ones seldom turn enough
+    shortest: float = (
+        15.0  # s measured in all stretches together, and of a break between two; less seldom turns enough
+    )
     disturbed: float = 0.5  # weight of a window below which it counts as disturbed
-    smoothed: float = 5.0  # s, length of the median filter of the weights
+    smoothed: float = 5.0  # s, length of the median filter of the weights, and of a stretch
+    bridged: float = 0.5  # share of the longer stretch beside a break up to which the break is not one
     explained: float = 0.8  # least mean weight of the windows of a stretch that another hard iron explains
     strength: float = 0.02  # largest relative difference of the field strength
     settled: float = 1e-3  # relative step of the field strength below which it has converged
@@ -65,7 +68,7 @@ class IronChange(NamedTuple):
     def sentence(self, recording: Recording) -> str:
         """Return the times and the size of the change in words, with the remedy."""
         duration = recording.time[-1] - recording.time[0]
-        times = [t for t in self.stretches.ravel() if _LIMITS.shortest < t < duration - _LIMITS.shortest]
+        times = [t for t in self.stretches.ravel() if _LIMITS.smoothed < t < duration - _LIMITS.smoothed]
         listed = " and ".join(f"{t:.0f} s" for t in times[:2]) or f"{self.stretches[0, 0]:.0f} s"
         if len(times) > 2:
             listed += f" and {len(times) - 2} more times"
@@ -157,10 +160,17 @@ def _disturbed(time: Array, weight: Array, window: float) -> Array:
         low = np.flatnonzero(median_filter(weight, size, mode="nearest") < _LIMITS.disturbed)
     if not len(low):
         return np.empty((0, 2))
-    breaks = np.flatnonzero(np.diff(time[low]) >= _LIMITS.shortest)
+    breaks = np.flatnonzero(np.diff(low) > 1)
     first, last = low[np.append(0, breaks + 1)], low[np.append(breaks, len(low) - 1)]
+    longer = np.maximum(*((time[last] - time[first])[side] for side in (slice(1, None), slice(None, -1))))
+    apart = time[first[1:]] - time[last[:-1]] >= np.minimum(_LIMITS.shortest, _LIMITS.bridged * longer)
+    first, last = first[np.append(True, apart)], last[np.append(apart, True)]
     measured = np.cumsum(np.minimum(np.diff(time, prepend=time[0]), window))  # without gaps of the log
-    return np.column_stack([time[first], time[last]])[measured[last] - measured[first] >= _LIMITS.shortest]
+    length = measured[last] - measured[first]
+    kept = length >= _LIMITS.smoothed
+    if length[kept].sum() < _LIMITS.shortest:
+        return np.empty((0, 2))
+    return np.column_stack([time[first], time[last]])[kept]
 
 
 def instrument_change(
@@ -186,7 +196,8 @@ def instrument_change(
         return ""
     if not part.trusted:
         return ""
-    (here, known_here), (there, known_there) = _instrument(whole), _instrument(part)
+    assert whole.field_strength is not None
+    (here, known_here), (there, known_there) = (_instrument(each, whole.field_strength) for each in (whole, part))
     away, known = there - here, known_here + known_there
     if away @ np.linalg.solve(known, away) < _LIMITS.distance or np.abs(away).max() < _LIMITS.smallest:
         return ""
@@ -199,11 +210,13 @@ def instrument_change(
     )
 
 
-def _instrument(calibration: Calibration) -> tuple[Array, Array]:
-    """Return soft iron, hard iron over the field and misalignment (12,), and their covariance (12, 12)."""
-    covariance, strength = calibration.covariance, calibration.field_strength
+def _instrument(calibration: Calibration, strength: float) -> tuple[Array, Array]:
+    """Return soft iron, hard iron over a `strength` T and misalignment (12,), and their covariance (12, 12).
+
+    The strength is one for both instruments: the place may change it, but the hard iron only if the scale changed.
+    """
+    covariance = calibration.covariance
     assert covariance is not None
-    assert strength is not None
     unit = np.r_[np.ones(6), np.full(3, 1 / strength)]
     skew = calibration.diagnostics.get("skew")
     known = np.zeros((12, 12))
