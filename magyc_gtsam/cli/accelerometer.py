@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from magyc_gtsam.cli.files import replacing_folder
-from magyc_gtsam.cli.reading import Reading
-from magyc_gtsam.cli.results import dated_folder, write_configuration
+from magyc_gtsam.cli.results import Task, write_configuration
 from magyc_gtsam.cli.terminal import concluded, show, show_json, show_parameters, show_results, stages
 
 if TYPE_CHECKING:
@@ -17,26 +15,15 @@ if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
 
 
-def calibrate_accelerometer(
-    reading: Reading,
-    method: str,
-    options: dict[str, Any],
-    output: Path | None,
-    arguments: Sequence[str],
-    quiet: bool,
-    json: bool,
-) -> int:
+def calibrate_accelerometer(task: Task, quiet: bool, json: bool) -> int:
     """Calibrate, write calibration.yaml, configuration.yaml and report.html, and return the exit code.
 
     Args:
-        reading: the log and how to read it.
-        method: "autocal", or the default of the command.
-        options: options of `estimators.autocal.accelerometer.calibrate_accelerometer`.
-        output: folder; None for a dated one.
-        arguments: the command line, for configuration.yaml.
+        task: its method is "autocal", or the default of the command; its options are those of
+            `estimators.autocal.accelerometer.calibrate_accelerometer`.
         quiet, json: of the command line.
     """
-    folder = output or dated_folder(reading.log)
+    reading, method, folder = task.reading, task.method, task.folder
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording = reading.recording(stage("reading"))
         work = stage("calibrating")
@@ -45,11 +32,11 @@ def calibrate_accelerometer(
 
         if method not in ("autocal", "smoother"):
             raise MagycError(f"--method: {method!r} cannot calibrate an accelerometer; leave it out for 'autocal'")
-        calibration = _calibrate(recording, options, MagycError)
+        calibration = _calibrate(recording, task.options, MagycError)
         work(1.0)
         page = stage("drawing the page")
         calibration.save(part / "calibration.yaml")
-        write_configuration(part, reading, recording, cast(Any, calibration), options, arguments)
+        write_configuration(part, reading, recording, cast(Any, calibration), task.options, task.arguments)
         write_accelerometer_report(part / "report.html", replace(recording, name=reading.log.name), calibration)
         page(1.0)
     from magyc_gtsam.report.verdict import Verdict

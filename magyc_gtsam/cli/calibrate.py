@@ -107,6 +107,8 @@ def run(
         if reading.log is not None or output is not None:
             raise typer.BadParameter("needs no LOG and writes no files; leave out LOG and -o", param_hint="--plan")
         return show_plan(plan, options, quiet, json)
+    folder = output or dated_folder(reading.log)
+    task = Task(reading, method, options, unchecked, folder, tuple(context.obj), force)
     if sensor == "accelerometer":
         for name, wanted in (
             ("--all", every),
@@ -116,10 +118,9 @@ def run(
         ):
             if wanted:
                 raise typer.BadParameter("not with --sensor accelerometer, which takes one LOG", param_hint=name)
-        return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
+        return calibrate_accelerometer(task, quiet, json)
     if engine != "local" and not (every or many(reading.log, more)):
         raise given.without_effect("--engine", "several logs or --all")
-    task = Task(reading, method, options, unchecked, Path(), tuple(context.obj), force)
     if every or many(reading.log, more):
         from magyc_gtsam.io.many import find_logs
 
@@ -128,9 +129,8 @@ def run(
         logs = find_logs([reading.log, *(more or [])])
         tasks = each_log(task, logs)
         return calibrate_logs(each_compass(tasks) if every else tasks, output, engine, open_page, quiet, json)
-    folder = output or dated_folder(reading.log)
     with stages(shown=not (quiet or json)) as stage:
-        recording, calibration, verdict = calibrate_log(replace(task, folder=folder), stage)
+        recording, calibration, verdict = calibrate_log(task, stage)
     if pdf:
         calibration.report(folder / "report.pdf", replace(recording, name=reading.log.name))
     if open_page:
