@@ -6,7 +6,7 @@
     python benchmarks/online.py steps [--runs 100]       steps of 2 µT found within 30 s; their time and size
     python benchmarks/online.py alarms [--hours 100]     false alarms in clean motion
     python benchmarks/online.py kills [--runs 1000]      killed and resumed again and again
-    python benchmarks/online.py real FOLDER              real recordings against batch (see real_recordings.py)
+    python benchmarks/online.py real FOLDER              real recordings against batch (MCAP, datasets/README.md)
 
 `mission` runs `magyc_ifg` too where the authors' package is installed (speed_and_accuracy.py says how).
 """
@@ -21,13 +21,19 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from real_recordings import INTERVALS
 
 import magyc_gtsam as mg
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.study.efficiency import BLOCKS, FREEDOMS, cramer_rao, error, nees
 
 MOTIONS = ("wide", "moderate", "low", "tiny")
+INTERVALS = {  # s, the parts of real recordings that move; the magnet is attached from 41.5 to 92 s
+    "broad_01_slow_rotation": (34, 160),
+    "broad_06_fast_rotation": (38, 160),
+    "broad_32_attached_magnet_1cm": (41.5, 92),
+    "nexus5_augmented_reality": (None, None),
+    "nexus5_calibration_d1": (None, None),
+}
 
 
 def feed(online, recording, step=1.0, after=None):

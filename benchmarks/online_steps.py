@@ -3,7 +3,7 @@
     python benchmarks/online_steps.py anywhere [--runs 2] [--seed 100]   simulated, by size and place in the log
     python benchmarks/online_steps.py cuts FOLDER                        BROAD 32, 33, 35, a magnet on and off, in parts
 
-FOLDER as in real_recordings.py, with `real/` as in real_honesty.py. By the optical attitude the magnet arrives at 38.1,
+FOLDER as for `online.py real`, with `real/` as in real_honesty.py. By the optical attitude the magnet arrives at 38.1,
 40 to 43 and 42.5 s in the three, and is taken off at 95.0, 98.2 and 99.4 s.
 """
 
