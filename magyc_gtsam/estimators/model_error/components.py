@@ -49,16 +49,6 @@ def principal(normal: Array, score: Array) -> PrincipalAxes:
     return PrincipalAxes(np.maximum(value, 0.0), vector, score @ vector)
 
 
-def stacked(groups: Sequence[PrincipalAxes]) -> tuple[Array, Array]:
-    """Return the values and pulls of all f groups, (f, k) each, padded with zeros."""
-    longest = max((len(group.value) for group in groups), default=0)
-    value, pull = np.zeros((len(groups), longest)), np.zeros((len(groups), longest))
-    for i, group in enumerate(groups):
-        size = len(group.value)
-        value[i, :size], pull[i, :size] = group.value, group.pull
-    return value, pull
-
-
 _VARIANCE_GRID = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
 _SWEEPS = 3  # most sweeps over the groups
 _CONVERGED = 0.1  # relative change of a variance below which it has converged
@@ -95,14 +85,8 @@ def likeliest_of_each(
     """Return the likeliest variance of each group by itself, up to its entry of `most`; `usual` as in `likeliest`."""
     if not groups:
         return []
-    sizes = [len(group.value) for group in groups]
-    value, pull = (np.concatenate(each) for each in ([g.value for g in groups], [g.pull for g in groups]))
-    first = np.cumsum([0, *sizes[:-1]])
     variance = np.array(most)[:, None] * _VARIANCE_GRID
-    spread = 1 + np.repeat(variance, sizes, axis=0) * value[:, None]  # every axis of every group, (K, variances)
-    explained = np.add.reduceat(pull[:, None] ** 2 / spread, first)
-    left = np.maximum(square - variance * explained, 1e-9 * square)
-    gain = -0.5 * (np.add.reduceat(np.log(spread), first) + freedom * np.log(left / square))
+    gain, _ = log_likelihoods(groups, square, freedom, variance)
     best = np.argmax(gain, axis=1)
     top, rise = variance[range(len(best)), best], gain[range(len(best)), best]
     bound = np.maximum(top, most if usual is None else usual)
@@ -110,6 +94,22 @@ def likeliest_of_each(
     mean = np.maximum(top, (share * variance).sum(axis=1) / share.sum(axis=1))  # an amplitude that is seen stays
     found = zip(top.tolist(), rise.tolist(), mean.tolist(), strict=True)
     return [VarianceEstimate(*each) if each[1] > 0 else VarianceEstimate(0.0, 0.0, 0.0) for each in found]
+
+
+def log_likelihoods(
+    groups: Sequence[PrincipalAxes], square: float, freedom: float, variance: Array
+) -> tuple[Array, Array]:
+    """Return (f, m) the log-likelihoods of f groups, each by itself, at its m variances (f, m), over those of v = 0.
+
+    The second result, of the same shape, is what yᵀy (`square`) is left by the group.
+    """
+    sizes = [len(group.value) for group in groups]
+    value, pull = (np.concatenate(each) for each in ([g.value for g in groups], [g.pull for g in groups]))
+    first = np.cumsum([0, *sizes[:-1]])
+    spread = 1 + np.repeat(variance, sizes, axis=0) * value[:, None]  # every axis of every group, (K, m)
+    explained = np.add.reduceat(pull[:, None] ** 2 / spread, first)
+    left = np.maximum(square - variance * explained, 1e-9 * square)
+    return -0.5 * (np.add.reduceat(np.log(spread), first) + freedom * np.log(left / square)), left
 
 
 class Components(NamedTuple):

@@ -21,8 +21,8 @@ from magyc_gtsam.estimators.model_error.components import (
     FixedColumns,
     PrincipalAxes,
     likeliest,
+    log_likelihoods,
     principal,
-    stacked,
 )
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
@@ -47,27 +47,24 @@ def averaged_of_each(
     groups: Sequence[PrincipalAxes], square: float, freedom: float, most: Sequence[float], octaves: Sequence[int]
 ) -> list[Averaged]:
     """Average each group by itself, over its number of `octaves` from its `most` down; `square` is yᵀy."""
-    value, pull = stacked(groups)
-    halvings = np.arange(max(octaves, default=0))
+    if not groups:
+        return []
+    halvings = np.arange(max(octaves))
     variance = np.square(most)[:, None] * (freedom / square) * 0.25**halvings
-    spread = 1 + variance[:, :, None] * value[:, None]
-    left = np.maximum(square - variance * ((1 / spread) @ np.square(pull)[:, :, None])[..., 0], 1e-9 * square)
-    gain = -0.5 * (np.log(spread).sum(axis=2) + freedom * np.log(left / square))
+    gain, left = log_likelihoods(groups, square, freedom, variance)
     gain[halvings >= np.array(octaves)[:, None]] = -np.inf
     top = gain.max(axis=1)
     share = np.exp(gain - top[:, None])
     total = share.sum(axis=1)
     evidence = top + np.log(total / octaves)
     share /= total[:, None]
-    known = variance[:, :, None] / spread
-    level = left / freedom
-    amplitude = np.sqrt((share * variance * level).sum(axis=1))
-    scatter, mean = ((share * level)[:, None] @ known)[:, 0], known * pull[:, None]
+    level = share * left / freedom
+    amplitude = np.sqrt((level * variance).sum(axis=1))
     result = []
-    for i, group in enumerate(groups):
-        vector, size = group.vector, len(group.value)
-        means = mean[i, :, :size] @ vector.T
-        second = (vector * scatter[i, :size]) @ vector.T + (means.T * share[i]) @ means
+    for i, (value, vector, pull) in enumerate(groups):
+        known = variance[i, :, None] / (1 + variance[i, :, None] * value)
+        means = (known * pull) @ vector.T
+        second = (vector * (level[i] @ known)) @ vector.T + (means.T * share[i]) @ means
         result.append(Averaged(float(evidence[i]), second, float(amplitude[i])))
     return result
 

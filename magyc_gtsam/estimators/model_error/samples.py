@@ -30,7 +30,6 @@ _SEGMENT = 256  # samples per segment of the spectrum
 _FLOOR = 4.0  # multiple of the spectrum's median below which it counts as noise
 _TOO_SLOW = 0.1  # share of the turn rate lost between samples; up to 0.09 all results were right
 _BLOCK = 50  # samples; an axis with noise has only two values in them once in 10¹⁵
-_PIECE = 1024  # blocks that are rearranged at a time
 _MOVING = 0.9  # quantile of the blocks' ranges that is typical: an axis may be stuck for most of a log
 _NARROW = 0.5  # share of the typical range below which a block is examined
 _NOISY = 1.5  # ratio of noise to the distance of the two values from which noise would give more values
@@ -140,35 +139,23 @@ def _shares_of_two_values(values: Array) -> list[float]:
     Shares below `_LOST` are returned as 0.
     """
     count = len(values) // _BLOCK
+    blocks = values[: count * _BLOCK].reshape(count, _BLOCK, -1)
     result = [0.0] * values.shape[1]
-    # Of any three samples of such a block two are equal.
-    one, other, third = (values[k : count * _BLOCK : _BLOCK] for k in range(3))
-    if not ((one == other) | (other == third) | (third == one)).any():
-        return result
-    low, high = np.empty((2, values.shape[1], count))
-    for first in range(0, count, _PIECE):
-        own = slice(first, min(first + _PIECE, count))
-        piece = np.ascontiguousarray(values[own.start * _BLOCK : own.stop * _BLOCK].T)
-        piece = piece.reshape(len(piece), -1, _BLOCK)
-        piece.min(axis=2, out=low[:, own])
-        piece.max(axis=2, out=high[:, own])
-    step = high - low
-    moving = int(_MOVING * count)
-    typical = np.partition(step, moving, axis=1)[:, moving, None]
-    middle = values[_BLOCK // 2 : count * _BLOCK : _BLOCK].T
-    axis, block = np.nonzero((step > 0) & (step < _NARROW * typical) & ((middle == low) | (middle == high)))
-    if not len(axis):
-        return result
-    seen = values[block[:, None] * _BLOCK + np.arange(_BLOCK), axis[:, None]]
-    two = ((seen == low[axis, block, None]) | (seen == high[axis, block, None])).all(axis=1)
-    for each in np.flatnonzero(np.bincount(axis[two], minlength=1) >= _LOST * count).tolist():
-        own_two = block[two & (axis == each)]
-        if not len(own_two):
+    one, other, third = (blocks[:, k] for k in range(3))  # of any three samples of such a block two are equal
+    alike = (one == other) | (other == third) | (third == one)
+    for axis in np.flatnonzero(alike.any(axis=0)).tolist():
+        own = blocks[:, :, axis]
+        low, high = own.min(axis=1), own.max(axis=1)
+        step = high - low
+        typical = np.partition(step, int(_MOVING * count))[int(_MOVING * count)]
+        narrow = np.flatnonzero((step > 0) & (step < _NARROW * typical))
+        seen = own[narrow]
+        two = narrow[((seen == low[narrow, None]) | (seen == high[narrow, None])).all(axis=1)]
+        if len(two) < max(_LOST * count, 1):
             continue
-        blocks = values[: count * _BLOCK, each].reshape(-1, _BLOCK)
-        noise = white_noise(np.delete(blocks, own_two, axis=0).reshape(-1, 1))
-        if noise >= _NOISY * float(np.median(step[each, own_two])):
-            result[each] = len(own_two) / count
+        noise = white_noise(np.delete(own, two, axis=0).reshape(-1, 1))
+        if noise >= _NOISY * float(np.median(step[two])):
+            result[axis] = len(two) / count
     return result
 
 
