@@ -115,23 +115,18 @@ def soft_iron_changed(fit: Fit) -> bool:
     sensor mounted anew would cause.
 
     After a step the past marginal keeps its information on the soft iron; if that were wrong, the hard iron of the
-    following windows would be biased. The test is the likelihood ratio λ of the fit with that information against the
-    fit without it: χ² with 6 degrees of freedom if the soft iron did not change.
+    following windows would be biased. The test is the likelihood ratio λ, at the fit's weights and noise, of the fit
+    with that information against the fit without it: χ² with 6 degrees of freedom if the soft iron did not change.
 
     Args:
-        fit: fit of a `ContinuedChain`, at its minimum.
+        fit: at its minimum.
     """
-    return _likelihood_ratio(fit) > _SOFT_IRON_LIMIT * fit.colour
-
-
-def _likelihood_ratio(fit: Fit) -> float:
-    """Return λ at the fit's weights and noise; 0 without information on the soft iron in the past."""
     chain = fit.chain
     if not isinstance(chain, ContinuedChain) or chain.past is None or not chain.past.information[SOFT_IRON].any():
-        return 0.0
+        return False
     information, gradient = chain.past.information[SOFT_IRON, SOFT_IRON], chain.past.gradient[SOFT_IRON]
     # The cost of the marginal without the soft iron is relative to its own minimum.
     least = -0.5 * float(gradient @ np.linalg.solve(information, gradient))
     without = replace(chain, past=chain.past.forget(SOFT_IRON))
     free = descend(replace(fit, chain=without, reduced=without.eliminate(fit.state, fit.weights)), NEAR)
-    return 2 * (fit.reduced.cost - free.reduced.cost - least)
+    return 2 * (fit.reduced.cost - free.reduced.cost - least) > _SOFT_IRON_LIMIT * fit.colour

@@ -113,7 +113,8 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
         near: s/s, drift of an earlier part of the recording, as a start if the whole has no minimum nearby.
     """
     found = drift_is_significant(fit)
-    if not found and (trusted or _explained(recording, fit)):
+    # Without a significant drift there is none, unless the residual is larger than the magnetometer's own noise.
+    if not found and (trusted or fit.chain.noise.magnetometer < _NOISY * magnetometer_noise(recording)):
         return None
     ways: list[Callable[[], tuple[float, Fit, Judge]]] = [lambda: _measure_from_part(recording, refit)]
     if found:
@@ -137,11 +138,6 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
     moved = np.abs(corrected.state.parameters[:DELAY] - fit.state.parameters[:DELAY]) / deviation
     delay = float(corrected.state.parameters[DELAY])
     return Drift(rate, sigma, float(moved.max()), (delay, delay + rate * recording.duration))
-
-
-def _explained(recording: Recording, fit: Fit) -> bool:
-    """Return whether the residual of a fit is no larger than the magnetometer's own noise."""
-    return fit.chain.noise.magnetometer < _NOISY * magnetometer_noise(recording)
 
 
 def _measure(

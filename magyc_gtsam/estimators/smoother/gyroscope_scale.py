@@ -12,7 +12,6 @@ others. Many logs of one instrument can share it (`magyc_gtsam.history`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,7 +21,7 @@ from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledCo
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
-from magyc_gtsam.estimators.smoother.search import shortened
+from magyc_gtsam.estimators.smoother.search import fit_field_chain, shortened
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import cross
@@ -95,16 +94,13 @@ def scale_of(fit: Fit, factor: float) -> GyroscopeScale | None:
     return GyroscopeScale(terms.value + step, covariance, gain, gain @ step)
 
 
-def with_scale(
-    recording: Recording, fit: Fit, options: SmootherOptions, refit: Callable[[Recording, Fit], Fit]
-) -> ScaleError:
+def with_scale(recording: Recording, fit: Fit, options: SmootherOptions) -> ScaleError:
     """Estimate the scales.
 
     Args:
         recording: as read.
         fit: of that recording, at its minimum.
         options: of the fit, with the prior standard deviation of each axis' scale, relative.
-        refit: fits a corrected recording, started from an earlier fit.
     """
     value, corrected, given, deviation = np.zeros(3), recording, fit, options.gyroscope_scale
     fit = _beside_scale(recording, fit, value, options)
@@ -118,7 +114,8 @@ def with_scale(
             break
         value = scale.value
         corrected = _corrected(recording, value, fit.state.parameters[9:12])
-        fit = _beside_scale(corrected, refit(corrected, fit), value, options)
+        fit = fit_field_chain(corrected, options, start=fit.state.parameters)
+        fit = _beside_scale(corrected, fit, value, options)
     return ScaleError(corrected, fit)
 
 

@@ -101,6 +101,10 @@ def judge(
         in_bursts(samples),
         reason(unexplained, probable, observability),
     )
+    told: dict[str, Any] = {"model_error": diagnostics(unexplained)}
+    if misalignment is not None:
+        told["skew"] = {} if skew is None else {"evidence": skew.evidence}
+        told["skew"] |= {"covariance": misalignment.covariance.tolist(), "cross": misalignment.cross.tolist()}
     return Judgement(
         soft_iron,
         unit,
@@ -110,7 +114,7 @@ def judge(
         replace(observability, heading_sigma=whole.heading_sigma),
         tuple(filter(None, reasons)),
         remark(unexplained, of_sensors, reported),
-        {"model_error": diagnostics(unexplained)} | _skew_diagnostics(skew, misalignment),
+        told,
         misalignment,
     )
 
@@ -127,13 +131,3 @@ def _misalignment_error(skew: Skew | None, strength: float, unexplained: Array) 
         covariance, cross = covariance + unexplained[SKEW, SKEW], cross + unexplained[:9, SKEW]
     cross[:6] /= strength
     return MisalignmentError(covariance, cross)
-
-
-def _skew_diagnostics(skew: Skew | None, misalignment: MisalignmentError | None) -> dict[str, Any]:
-    """Return the misalignment's entry in the diagnostics, as JSON types."""
-    if misalignment is None:
-        return {}
-    evidence = {} if skew is None else {"evidence": skew.evidence}
-    return {
-        "skew": {**evidence, "covariance": misalignment.covariance.tolist(), "cross": misalignment.cross.tolist()}
-    }

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -84,7 +83,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     drift = find_drift(recording, fit, calibration.converged, refit)
     drift = None if drift is None else drift._replace(known=options.clock_drift)
     if options.gyroscope_scale and change is None and not (drift is not None and drift.harms):
-        corrected, fit, doubt = with_scale(recording, fit, options, partial(_next_to, options))
+        corrected, fit, doubt = with_scale(recording, fit, options)
         doubts = [doubt, *doubts] if doubt else doubts
         calibration = calibration_of(corrected, fit, options, doubts=doubts)
     report(1.0)
@@ -93,11 +92,6 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
 
 def _of(recording: Recording, options: SmootherOptions) -> Calibration:
     return calibration_of(recording, fit_field_chain(recording, options), options)
-
-
-def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
-    """Return the fit of a recording, started from the parameters of another recording's fit."""
-    return fit_field_chain(recording, options, start=fit.state.parameters)
 
 
 def prior_contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
