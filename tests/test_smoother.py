@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import MagycError, Recording, calibrate, methods, simulate
 from magyc_gtsam.estimators.smoother.fit import MAX_ITERATIONS, PATIENCE
+from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.vech import vech
@@ -525,3 +526,13 @@ def test_window_residuals_show_what_the_calibration_misses(wide):
     assert np.square(bad.magnetic_field).sum() > 2 * np.square(good.magnetic_field).sum()
     with pytest.raises(MagycError, match="no gyroscope bias"):
         window_residuals(wide.recording, replace(calibration, gyro_bias=None, covariance=None))
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 10])
+def test_the_noise_of_a_stream_that_was_interpolated_is_seen(rows):
+    """Second differences are zero but at the samples themselves; with a noise of 0.1 nT all windows were rejected."""
+    value = 30e-6 + 1e-6 * np.random.default_rng(5).standard_normal((4000, 3))
+    row = np.arange(rows * 3999 + 1) / rows
+    between = np.stack([np.interp(row, np.arange(4000), axis) for axis in value.T], axis=1)
+    noise = magnetometer_noise(Recording(0.1 * row, between))
+    assert 0.6e-6 / rows < noise < 1.2e-6

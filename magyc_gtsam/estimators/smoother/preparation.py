@@ -12,6 +12,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.recording import Recording, Samples
 
 _TRIPLETS = 1000  # number of sample triplets used for the short-term noise
+_ROUNDING = 1e-9  # of a value, below which a second difference is zero
 
 
 def preintegrate(recording: Recording, window: float = 1.5, turn: float | None = None) -> Preintegration:
@@ -68,6 +69,8 @@ def _noise(samples: Samples, least: float) -> float:
     first, middle, last = (np.ascontiguousarray(value[k : len(value) - 2 + k : stride].T) for k in range(3))
     second = first - 2 * middle + last
     square = np.einsum("in,in->n", second, second) / 18
-    # Upper quartile of sqrt(χ²₃/3), because half of the differences are zero with drivers that interpolate.
-    upper = 3 * (len(square) - 1) // 4
+    # Upper quartile of sqrt(χ²₃/3), because half of the differences are zero with drivers that interpolate; if more,
+    # the median of those that are not zero.
+    real = np.count_nonzero(square > _ROUNDING**2 * np.square(middle).mean())
+    upper = max(3 * (len(square) - 1) // 4, len(square) - 1 - real // 2)
     return max(float(np.sqrt(np.partition(square, upper)[upper])) / 1.170, least)
