@@ -15,8 +15,7 @@ from magyc_gtsam.estimators.magyc.derivative_windows import (
 )
 from magyc_gtsam.estimators.magyc.graph import MagycGraph
 from magyc_gtsam.estimators.magyc.options import IncrementalOptions
-from magyc_gtsam.estimators.magyc.state import calibration_of
-from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
+from magyc_gtsam.estimators.magyc.state import limits_about
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.recording import Array, Recording, Samples
@@ -96,18 +95,8 @@ class IncrementalMagyc:
         parameters = graph.estimate()
         if parameters is None or len(self._visited) < LEAST_WINDOWS:
             return None
-        updated = graph.result.updated
-        return calibration_of(
-            parameters,
-            graph.state.covariance(graph.residuals) if updated else None,
-            Recording(self._visited[:, 0], self._visited[:, 1:]),
-            method="magyc-ifg",
-            message=graph.message,
-            converged=updated,
-            field_strength=graph.options.field_strength,
-            diagnostics={"status": str(graph.result.status), "windows": len(graph)},
-            configuration=graph.options.configuration,
-        )
+        recording = Recording(self._visited[:, 0], self._visited[:, 1:])
+        return graph.calibration(parameters, recording, windows=len(graph))
 
     def converged(self) -> bool:
         """See `Engine.converged`: observable, and near the mean over the last fifth of the estimates."""
@@ -118,8 +107,7 @@ class IncrementalMagyc:
         current, mean = self._graph.current(), self._graph.mean()
         if current is None or mean is None:
             return False
-        strength = float(np.median(np.linalg.norm(self._visited[:, 1:] - current[6:9], axis=1)))
-        limits = np.repeat([SOFT_IRON_LIMIT, HARD_IRON_LIMIT * strength, GYRO_BIAS_LIMIT], [6, 3, 3])
+        limits = limits_about(current, self._visited[:, 1:])
         return bool((np.abs(current - mean) <= _STILL * limits).all())
 
     def progress(self) -> Progress:

@@ -8,17 +8,19 @@ residuals (7) exactly and is replaced at every update: time and memory stay cons
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import gtsam
 import numpy as np
 
+from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.magyc.derivative_windows import LEAST_WINDOWS
 from magyc_gtsam.estimators.magyc.options import IncrementalOptions
-from magyc_gtsam.estimators.magyc.state import KEYS, NAMES, MagycState, initial_values, scale_prior
+from magyc_gtsam.estimators.magyc.state import KEYS, NAMES, MagycState, calibration_of, initial_values, scale_prior
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative, gyro_derivative_factor
-from magyc_gtsam.recording import Array
+from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.runners.incremental import Incremental
 from magyc_gtsam.runners.status import IncrementalResult, Status
 
@@ -186,6 +188,21 @@ class MagycGraph:
     def estimate(self) -> Array | None:
         """Return the estimate that the options ask for, `mean` or `current`."""
         return self.mean() if self.options.estimate == "mean" else self.current()
+
+    def calibration(self, parameters: Array, recording: Recording, **diagnostics: Any) -> Calibration:
+        """Return the calibration by the estimate `parameters`, assessed on a recording, with more diagnostics."""
+        updated = self._result.updated
+        return calibration_of(
+            parameters,
+            self.state.covariance(self._residuals) if updated else None,
+            recording,
+            method="magyc-ifg",
+            message=self.message,
+            converged=updated,
+            field_strength=self.options.field_strength,
+            diagnostics={"status": str(self._result.status)} | diagnostics,
+            configuration=self.options.configuration,
+        )
 
     def saved(self) -> Mapping[str, Array]:
         """Return the complete state, for `restore`."""

@@ -15,9 +15,8 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.magyc.derivative_windows import derivative_windows
 from magyc_gtsam.estimators.magyc.graph import MagycGraph
 from magyc_gtsam.estimators.magyc.options import IncrementalOptions
-from magyc_gtsam.estimators.magyc.state import calibration_of
+from magyc_gtsam.estimators.magyc.state import limits_about
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.runners.status import Status
 
@@ -53,21 +52,8 @@ def calibrate_magyc_ifg(
         raise KeyboardInterrupt
     if parameters is None:
         raise MagycError(f"magyc-ifg: no estimate after {graph.message}")
-    updated = graph.result.updated
-    calibration = calibration_of(
-        parameters,
-        graph.state.covariance(graph.residuals) if updated else None,
-        recording,
-        method="magyc-ifg",
-        message=graph.message,
-        converged=updated,
-        field_strength=options.field_strength,
-        diagnostics={
-            "status": str(graph.result.status),
-            "windows": count,
-            "settled_after": settled_after(estimates, recording),
-        },
-        configuration=options.configuration,
+    calibration = graph.calibration(
+        parameters, recording, windows=count, settled_after=settled_after(estimates, recording)
     )
     report(1.0)
     return calibration
@@ -82,7 +68,6 @@ def settled_after(estimates: list[Array | None], recording: Recording) -> float:
     last = estimates[-1]
     if last is None:
         return 1.0
-    strength = float(np.median(np.linalg.norm(recording.magnetometer.value - last[6:9], axis=1)))
-    limits = np.repeat([SOFT_IRON_LIMIT, HARD_IRON_LIMIT * strength, GYRO_BIAS_LIMIT], [6, 3, 3])
+    limits = limits_about(last, recording.magnetometer.value)
     away = [e is None or bool((np.abs(e - last) > limits).any()) for e in estimates]
     return (int(np.flatnonzero(away)[-1]) + 1) / len(away) if any(away) else 0.0

@@ -18,7 +18,7 @@ from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech, vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative
 from magyc_gtsam.factors.priors import determinant_prior, norm_prior
-from magyc_gtsam.observability import assess
+from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT, assess
 from magyc_gtsam.recording import Array, Recording
 
 INVERSE_SOFT_IRON, PSEUDO_HARD_IRON, GYRO_BIAS = KEYS = (
@@ -175,3 +175,9 @@ def calibration_of(
         diagnostics=diagnostics,
         configuration=configuration,
     )
+
+
+def limits_about(parameters: Array, field: Array) -> Array:
+    """Return the limits (12,) of observability for the parameters, given the field (n, 3) T."""
+    strength = float(np.median(np.linalg.norm(field - parameters[6:9], axis=1)))
+    return np.repeat([SOFT_IRON_LIMIT, HARD_IRON_LIMIT * strength, GYRO_BIAS_LIMIT], [6, 3, 3])
