@@ -107,7 +107,8 @@ def test_an_axis_that_flickers_between_two_values_is_not_trusted() -> None:
             assert not calibrate(recording).trusted
     for name in ("clean", "coarse", "coarse-gyroscope", "dead-gyroscope"):
         fault = FAULTS[name]
-        assert flickers(record("wide", 3, fault, fault.strong, name).recording(name)) == ""
+        recording = record("wide", 3, fault, fault.strong, name).recording(name)
+        assert flickers(recording) == flickers(recording.rows(recording.time < 4)) == ""  # fewer rows than a block
 
 
 def test_a_step_that_leaves_out_the_end_is_not_trusted() -> None:

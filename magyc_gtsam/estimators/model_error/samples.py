@@ -139,7 +139,7 @@ def _shares_of_two_values(values: Array) -> list[float]:
     Shares below `_LOST` are returned as 0.
     """
     count = len(values) // _BLOCK
-    blocks = values[: count * _BLOCK].reshape(count, _BLOCK, -1)
+    blocks = values[: count * _BLOCK].reshape(count, _BLOCK, values.shape[1])
     result = [0.0] * values.shape[1]
     one, other, third = (blocks[:, k] for k in range(3))  # of any three samples of such a block two are equal
     alike = (one == other) | (other == third) | (third == one)
