@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,17 @@ from magyc_gtsam.recording import Recording
 _FLOOR = np.r_[np.full(6, 1e-5), np.full(3, 1e-9)]  # least sigmas of a prior, 1 and T
 _CONTRADICTS = 31.8  # squared Mahalanobis distance: the 99.99 % point of χ² of eight degrees of freedom
 ENOUGH = "this motion is enough with"  # start of the sentence on facts that compensate for too little motion
+
+
+@dataclass(frozen=True)
+class _Place:
+    """How often the field of the place is not the world's, indoors and beside iron, and by how much of it (1σ)."""
+
+    share: float = 0.02
+    off: float = 0.1
+
+
+_PLACE = _Place()
 _NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
@@ -165,31 +177,47 @@ def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
     return [f"the data contradict the earlier calibration: {named}; {remedy} ({' and '.join(walks)})"]
 
 
-def strength_contradiction(parameters: Array, covariance: Array, options: SmootherOptions) -> list[str]:
-    """Return a sentence if the strength of the field contradicts the earlier calibration and the data, or nothing.
+def doubtful_strength(parameters: Array, covariance: Array, options: SmootherOptions) -> tuple[list[str], Array]:
+    """Return a sentence if the field's strength contradicts prior and data, and what an error of it adds.
 
     Without the fact its residual r at the posterior would be r / (1 − v), of variance 1 / (1 − v), where v is the
-    variance of the fact's quantity by the posterior over that by the fact.
+    variance of the fact's quantity by the posterior over that by the fact. In a share of places (`_PLACE`) the strength
+    is off by more, and θ elsewhere: the square of that distance is added by the probability that the data show of it.
 
     Args:
         parameters, covariance: posterior of θ, (13,) and (13, 13), which contains the fact.
         options: with the prior, which gives the strength its scale, and the place.
+
+    Returns:
+        The sentence, if there is one, and the addition (13, 13) to the covariance.
     """
     fact = next((fact for fact in known_of(options).facts if isinstance(fact, StrengthFact)), None)
+    none: list[str] = []
     if fact is None:
-        return []
-    assert options.known_strength is not None
+        return none, np.zeros_like(covariance)
     (residual,), (slope,) = fact.residual(parameters)
-    left = 1 - float(slope @ covariance @ slope)
-    if left <= 0 or abs(residual) < MODEL.contradicts * math.sqrt(left):
-        return []
+    along = covariance @ slope
+    left = 1 - float(slope @ along)
+    if left <= 0:
+        return none, np.zeros_like(covariance)
+    assert options.known_strength is not None
+    wider = 1 / left + (_PLACE.off * fact.mean / fact.sigma) ** 2  # variances without the fact, of r / (1 − v)
+    nats = 0.5 * (residual**2 / left - (residual / left) ** 2 / wider - math.log(wider * left))
+    likelier = math.exp(min(nats, 50.0))
+    shown = _PLACE.share * max(likelier - 1, 0.0) / (1 + _PLACE.share * likelier)
+    moved = residual / left
+    distance = moved * (1 - 1 / (wider * left)) * along
+    addition = shown * np.outer(distance, distance)
+    if abs(residual) < MODEL.contradicts * math.sqrt(left):
+        return none, addition
     there, sigma = 1e6 * options.known_strength, 1e6 * options.known_strength * fact.sigma / fact.mean
-    return [
-        f"the field is {there + sigma * residual / left:.1f} ± {sigma * math.sqrt(1 / left - 1):.2g} µT strong by the "
-        f"earlier calibration, {there:.1f} µT at the place ({abs(residual) / math.sqrt(left):.1f} sigmas): omit the "
-        "place, as the field indoors and beside iron is not the world's, or allow for a change of the iron (field=, "
+    said = (
+        f"the field is {there + sigma * moved:.1f} ± {sigma * math.sqrt(1 / left - 1):.2g} µT strong by the earlier "
+        f"calibration, {there:.1f} µT at the place ({abs(residual) / math.sqrt(left):.1f} sigmas): omit the place, as "
+        "the field indoors and beside iron is not the world's, or allow for a change of the iron (field=, "
         "hard_iron_walk=)"
-    ]
+    )
+    return [said], addition
 
 
 def _difference_text(k: int, away: float, sigma: float) -> str:

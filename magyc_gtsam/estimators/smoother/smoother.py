@@ -26,9 +26,9 @@ from magyc_gtsam.estimators.smoother.iron_change import disturbed_stretches, har
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import (
     contradictions,
+    doubtful_strength,
     known_of,
     remedies,
-    strength_contradiction,
 )
 from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
@@ -154,14 +154,15 @@ def calibration_of(
     samples = recording if samples is None else samples
     colour = fit.colour if colour is None else colour
     known = posterior(fit, colour * fit.widening)
+    contradicted, wider = doubtful_strength(known.parameters, known.covariance, options)
+    known = known._replace(covariance=known.covariance + wider)
     unexplained = model_error(fit, samples) if unexplained is None else unexplained
     strength = options.known_strength, options.strength_sigma
     judgement = judge(known, unexplained, recording, samples, *strength)
     parameters, _, skew, scale = known
     unit, observability = judgement.strength, judgement.observability
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
-    reasons += strength_contradiction(known.parameters, known.covariance, options)
-    reasons += _jumped(fit, recording) + _reasons(fit, unit, observability)
+    reasons += contradicted + _jumped(fit, recording) + _reasons(fit, unit, observability)
     if not observability.observable:
 
         def enough(covariance: Array) -> bool:
