@@ -120,3 +120,18 @@ def test_a_misalignment_of_half_a_walk_is_not_corrected(shared_data) -> None:  #
         assert gap.before.heading is not None
         assert gap.after.heading is not None
         assert gap.after.heading < 1.02 * gap.before.heading
+
+
+def test_many_logs_in_rooms_tell_the_room_from_the_instrument() -> None:
+    logs = [
+        replace(in_a_room(seed, 1.5e-6, delay=0.3), attitude=None, name=f"room {seed}") for seed in range(510, 513)
+    ]
+    gap = mg.find_gap(logs, candidates=["timing", "misalignment", "hard-iron-drift", "local-anomaly"])
+    assert [(effect.name, effect.of) for effect in gap.effects] == [
+        ("field-variation", "place"),
+        ("timing", "instrument"),
+    ]
+    assert gap.verdict == "closed"
+    room, late = gap.effects
+    assert all(0.7 < log.value[0] < 3 for log in room.logs)  # µT
+    assert abs(late.value[0] - 300) < 3 * late.sigma[0]

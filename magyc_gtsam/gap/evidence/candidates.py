@@ -85,14 +85,6 @@ class Candidates:
         batches = [replace(batch, rows=np.searchsorted(used, batch.rows)) for batch in batches]
         return Candidates(self.columns[used], self.score_bias[used], tuple(batches))
 
-    def of_setting(self, name: str, setting: Setting) -> Array:
-        """Return the columns (k, 3n) of an effect or family at one of its settings."""
-        for batch in self.batches:
-            for rows, whose, at in zip(batch.rows, batch.names, batch.settings, strict=True):
-                if whose == name and at is setting:
-                    return self.columns[rows]
-        return self.columns[:0]
-
 
 def _gram(columns: Array, places: np.ndarray) -> Array:
     """Return the Gram matrices (B, k, k) of columns (N, 3n) at places (B, k)."""

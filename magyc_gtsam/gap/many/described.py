@@ -71,7 +71,7 @@ def _variation(each: AddedEffect, logs: Sequence[OneLog]) -> SharedEffect:
         ("size",),
         "µT",
         {},
-        each.evidence,
+        sum(log.of_field for log in logs),
         float("nan"),
         each.rivals,
         inside,

@@ -108,7 +108,19 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
     weighed = _look(state.logs, asked)
     state = replace(state, weighed=weighed)
     strongest = weighed[0]
-    if strongest.nats < MODEL.sure + MODEL.remain * sum(each.evidence for each in state.added):
+    if strongest.nats < MODEL.sure:
+        return state, False
+    explained = sum(each.evidence for each in state.added)
+    if strongest.nats < MODEL.sure + MODEL.remain * explained:
+        return state, False
+    if strongest.named and more:
+        varies = strongest.name == FIELD_VARIATION
+        ahead = (_with_variation if varies else _with_effect)(state, strongest, _alternatives(weighed))
+        # Of what the field explained without the effect, a part may be due to it.
+        own = sum(log.power_of(strongest.name) for log in ahead.logs)
+        going = varies or own > MODEL.remain * sum(log.of_field for log in ahead.logs)
+        return (ahead if going else state), going
+    if strongest.nats < MODEL.sure + MODEL.remain * (explained + sum(log.of_field for log in state.logs)):
         return state, False
     if not strongest.named:
         few = strongest.present > MODEL.plain
@@ -116,10 +128,7 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
         if alone and len(few) - few.sum() >= MODEL.least:
             return _without_logs(state, few, strongest), True
         return replace(state, unknown=strongest.name), False
-    if not more:
-        return replace(state, unknown=strongest.name), False
-    added = _with_variation if strongest.name == FIELD_VARIATION else _with_effect
-    return added(state, strongest, _alternatives(weighed)), True
+    return replace(state, unknown=strongest.name), False
 
 
 def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs, ...]:
@@ -131,7 +140,9 @@ def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs
             if pooled and found.get(name):
                 found[name] = (*found[name], *log.tests_at(name, pooled))
     every = dict.fromkeys(name for found in tests for name in found)
-    weighed = [*(weigh(name, tests) for name in every), weigh_variation([log.varying[0] for log in logs])]
+    weighed = [weigh(name, tests) for name in every]
+    if all(log.variation is None for log in logs):
+        weighed.append(weigh_variation([log.varying[0] for log in logs]))
     return tuple(sorted((w for w in weighed if _possible(w, logs)), key=lambda each: -each.nats))
 
 
@@ -242,8 +253,7 @@ def _with_variation(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, .
         replace(log, variation=log.varying[1]) if own else log for log, own in zip(state.logs, here, strict=True)
     )
     settings: tuple[dict[str, float] | None, ...] = tuple({} if own else None for own in here)
-    # The gain in evidence is mostly that of a higher level of noise.
-    one = AddedEffect(chosen.name, sum(log.of_field for log in logs), 0.0, chosen.present, settings, rivals)
+    one = AddedEffect(chosen.name, 0.0, 0.0, chosen.present, settings, rivals)
     return replace(state, logs=logs, added=(*state.added, one))
 
 

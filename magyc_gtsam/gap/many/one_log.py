@@ -149,6 +149,15 @@ class OneLog:
         plain, left = Beside.of_model(self.refitted.twin).left() / self.beside.noise, self.beside.left()
         return 0.5 * max(float(plain @ plain - left @ left), 0.0)
 
+    def power_of(self, name: str) -> float:
+        """Return half the Wald statistic of an effect beside the rest of the model, nats; 0 if it is not there."""
+        names = [term.name for term in self.refitted.model.terms]
+        if name not in names:
+            return 0.0
+        rows = self.refitted.rows_of(names.index(name))
+        value, covariance = self.refitted.value_of(names.index(name))[0], self.beside.solution()[1]
+        return 0.5 * float(value @ np.linalg.pinv(covariance[np.ix_(rows, rows)], hermitian=True) @ value)
+
     def tests(self, names: Sequence[str]) -> dict[str, tuple[Test, ...]]:
         """Return {effect or generic family: its tests at all settings}."""
         twin = self.refitted.twin
