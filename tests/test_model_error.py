@@ -229,7 +229,7 @@ def test_a_gyroscope_with_a_wrong_scale_is_covered_or_not_trusted(motion: str) -
 
 
 @pytest.mark.parametrize("kind", ["halves", "directions", "speeds"])
-def test_parts_of_a_recording_that_disagree_are_covered(kind: str) -> None:
+def test_parts_of_a_recording_that_disagree_are_named_and_covered(kind: str) -> None:
     """Hard irons that are 1 µT apart in two parts of the recording, on a motion that hardly tilts."""
     for seed in range(4):
         simulation = simulate("moderate", seed=800 + seed)
@@ -247,6 +247,8 @@ def test_parts_of_a_recording_that_disagree_are_covered(kind: str) -> None:
             truth = replace(truth, hard_iron=truth.hard_iron + shift)
         field = recording.magnetic_field + side[:, None] * shift
         calibration = calibrate(replace(recording, magnetic_field=field), misalignment=0)
+        components = calibration.diagnostics["model_error"]["components"]
+        assert kind in [component["name"] for component in components]
         assert not calibration.trusted or within(calibration, truth) < 16
 
 

@@ -8,8 +8,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Recording, calibrate
+from magyc_gtsam.estimators.model_error.by_attitude import vertical
 from magyc_gtsam.estimators.model_error.components import fit_components
-from magyc_gtsam.estimators.model_error.families import vertical
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.physical import _followed
 from magyc_gtsam.estimators.model_error.samples import in_bursts

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion, along_axes
+from magyc_gtsam.estimators.model_error.by_attitude import attitude, tilt
+from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.vech import vech
 
 _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
 # Prior odds of an effect. They determine the cost for clean logs (ten minutes at 10 Hz): the mean NEES falls from 11 by
@@ -138,39 +140,6 @@ def _third(vector: Array) -> Array:
     )
 
 
-def attitude(motion: WindowMotion) -> UnmodelledColumns:
-    """Return columns linear in the attitude in world axes: a field gradient times a lever arm, rigid or a person's."""
-    return motion.in_world(motion.attitude.swapaxes(0, 1).reshape(9, -1) * np.sqrt(3.0))
-
-
-def tilt(motion: WindowMotion) -> UnmodelledColumns:
-    """Return columns linear in the vertical, along the sensor's axes: currents and loads that follow pitch or roll.
-
-    The 27 columns of all axes of the world gain less.
-    """
-    return motion.in_sensor(vertical(motion) * np.sqrt(3.0))
-
-
-def flex(motion: WindowMotion) -> UnmodelledColumns:
-    """Return the columns, per rad and g, of a mount that turns about each axis in proportion to the weight along each.
-
-    The sensor turns in the field and in the iron of the vehicle.
-    """
-    felt = vertical(motion)
-    felt -= felt.mean(axis=1, keepdims=True)
-    turned = cross(np.eye(3)[:, :, None], motion.reading[:, None])  # e_k × m, (3, k, n)
-    return along_axes(felt, turned.swapaxes(0, 1))
-
-
-def vertical(motion: WindowMotion) -> Array:
-    """Return (3, n) the vertical in the sensor's axes: the axis of the world whose direction in these varies least.
-
-    A buoy that rolls faster than it spins turns most about a horizontal axis.
-    """
-    steady = np.linalg.svd(motion.attitude.mean(axis=2))[2][0]
-    return np.asarray(np.einsum("ijn,j->in", motion.attitude, steady))
-
-
 def _skew(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a misalignment between the chips, the antisymmetric part of the soft iron."""
     turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
@@ -201,6 +170,39 @@ def _delays(motion: WindowMotion) -> UnmodelledColumns:
     bent = motion.soft_iron @ motion.derivative(motion.change)
     filtered = bent * motion.strength / max(float(np.sqrt(np.mean(bent**2))), ALIKE * motion.strength)
     return UnmodelledColumns(np.concatenate([profiles[:, None, :] * _slope(motion), filtered[None]]), None)
+
+
+def _split(motion: WindowMotion, side: Array) -> UnmodelledColumns:
+    """Return columns of soft iron, hard iron and delay that differ between two parts, given by `side` (n,) of ±1."""
+    irons = motion.in_sensor(np.concatenate([side[None], side * motion.unit]))
+    return UnmodelledColumns(np.concatenate([irons.window, (side * _slope(motion))[None]]), None)
+
+
+def _second_half(motion: WindowMotion) -> Array:
+    """Return (13, 13) the soft and hard iron of the second half less their means, for `_halves`."""
+    result = np.zeros((PARAMETERS, 13))
+    result[6:9, :3] = -motion.strength * np.eye(3)
+    for j in range(3):
+        for i in range(3):
+            change = np.zeros((3, 3))
+            change[i, j] = -motion.strength
+            result[:6, 3 + 3 * j + i] = vech(0.5 * (change + change.T))
+    return result
+
+
+def _halves(motion: WindowMotion) -> UnmodelledColumns:
+    return _split(motion, np.where(np.arange(len(motion.time)) < len(motion.time) // 2, 1.0, -1.0))
+
+
+def _directions(motion: WindowMotion) -> UnmodelledColumns:
+    """Return columns that differ between the two senses of turn about the axis of most rotation."""
+    axis = np.linalg.eigh(motion.rate @ motion.rate.T)[1][:, -1]
+    return _split(motion, np.sign(axis @ motion.rate))
+
+
+def _speeds(motion: WindowMotion) -> UnmodelledColumns:
+    speed = np.linalg.norm(motion.rate, axis=0)
+    return _split(motion, np.sign(speed - np.median(speed)))
 
 
 def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
@@ -265,4 +267,9 @@ FAMILIES = (
         unit="rate",
         stage=2,
     ),
+    ColumnFamily(
+        "halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half, stage=2
+    ),
+    ColumnFamily("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4, stage=2),
+    ColumnFamily("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4, stage=2),
 )
