@@ -16,9 +16,11 @@ from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided, too_slow
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
-from magyc_gtsam.estimators.smoother.fit import descend
+from magyc_gtsam.estimators.smoother.fit import begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.factors.chain.facts import LinearFact
+from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.simulation import HARD_IRON
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import score
@@ -61,6 +63,31 @@ def test_a_column_moves_the_parameters_as_a_new_fit_does(fit) -> None:
     expected = beside.move(beside.of(columns)) @ beta
     np.testing.assert_allclose((moved / sigma)[fit.free], (expected / sigma)[fit.free], atol=0.02)
     assert np.abs(expected / sigma)[fit.free].max() > 0.05
+
+
+@pytest.mark.parametrize("what", ["fact", "past"])
+def test_a_score_is_the_slope_of_the_least_cost_beside_what_is_known(fit, what: str) -> None:
+    """Facts two sigmas off, or the first half of the log as the past of an online chain, pull at the residual, too."""
+    parameters, windows, noise = fit.state.parameters, fit.chain.windows, fit.chain.noise
+    if what == "fact":
+        sigma = np.sqrt(np.diag(fit.covariance)[6:9])
+        fact = LinearFact(np.arange(6, 9), parameters[6:9] + 2 * sigma, np.diag(1 / sigma))
+        chain = replace(fit.chain, facts=(fact,))
+    else:
+        half = len(windows) // 2
+        past = ContinuedChain(windows, noise).marginalise(fit.state, fit.weights, half)
+        chain = ContinuedChain(windows.part(half, len(windows)), noise, past)
+    known = descend(begin(chain, parameters, fit.free), settled=1e-12)
+    columns, beside = FAMILIES[0].columns(WindowMotion.of(known)), ColumnProducts(known)
+    new = beside.of(columns)
+
+    def least(beta: float) -> float:
+        moved = replace(chain.windows, field=chain.windows.field - beta * columns.window[0])
+        return descend(begin(replace(chain, windows=moved), parameters, fit.free), settled=1e-12).reduced.cost
+
+    step = 0.1 / np.sqrt(new.normal[0, 0])
+    slope = (least(step) - least(-step)) / (2 * step)
+    assert -slope * step == pytest.approx(new.score[0] * step, abs=1e-3)
 
 
 def test_columns_have_the_products_that_elimination_leaves(fit) -> None:

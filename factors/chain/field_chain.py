@@ -169,7 +169,7 @@ class FieldChain:
         gradient[9:12] += of_links[:, 3]
         cost = 0.5 * float(flat[size] @ flat[size] + flat_links[3] @ flat_links[3])
 
-        known = self._known(state, linear.basis)
+        known = self.known(state, linear.basis)
         if known is not None:
             known.onto_first(band, border[size])
             border[:size, :, 0] += known.information[:size, size:]
@@ -251,7 +251,7 @@ class FieldChain:
             curvature = linear.curvature(sight.field)
             band[::2, 0] += curvature
             band[1::2, 0] += curvature
-            known = self._known(state, linear.basis)
+            known = self.known(state, linear.basis)
             if known is not None:
                 known.onto_first(band, pull)
             tangent, _ = dpbtrs(self._factor(band), pull.T.ravel(), lower=1)
@@ -262,7 +262,7 @@ class FieldChain:
                 break
         return state
 
-    def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
+    def known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
         """Return the prior on θ and the first direction besides the facts; the base class has none."""
         return None
 

@@ -104,7 +104,7 @@ class ContinuedChain(FieldChain):
             sigma[0] *= _UNMEASURED
         return sigma
 
-    def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
+    def known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
         """Return the past as a prior on θ and on the first direction of this chain."""
         if self.past is None:
             return None

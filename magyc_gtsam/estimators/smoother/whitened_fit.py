@@ -12,6 +12,8 @@ from scipy.linalg.lapack import dtrtri
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, Weights
+from magyc_gtsam.factors.chain.directions import QuadraticPrior
+from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -59,7 +61,7 @@ class Estimated:
         link: (q, 3n − 3) whitened Jacobians of the links.
         half: (p, 2n) Zᵀ of the Jacobians, as in `ColumnProducts`.
         information: (p, p) information matrix with the directions eliminated.
-        pull: (p,) gradient of the terms' prior.
+        pull: (p,) gradient of the priors: facts and past of the chain, and the terms' prior.
     """
 
     free: np.ndarray
@@ -123,15 +125,18 @@ class WhitenedFit:
     @cached_property
     def freedom(self) -> float:
         """Degrees of freedom of the residual; windows and links count by their robust weights."""
-        fit = self.fit
-        weights = fit.weights.window.sum() * 3 + fit.weights.link[fit.chain.windows.linked].sum() * 2
-        return float(max(weights - 2 * len(fit.chain.windows) - self.estimated.free.sum(), 1.0))
+        fit, terms = self.fit, self.fit.terms
+        rows = fit.weights.window.sum() * 3 + fit.weights.link[fit.chain.windows.linked].sum() * 2
+        rows += sum(len(fact.residual(fit.state.parameters)[0]) for fact in fit.chain.facts)
+        rows += 0 if terms is None else terms.columns.size
+        return float(max(rows - 2 * len(fit.chain.windows) - self.estimated.free.sum(), 1.0))
 
     @cached_property
     def square(self) -> float:
-        """rᵀ P r, the residual sum of squares; the values of terms with a prior are residuals, too."""
-        left, terms = self.left, self.fit.terms
+        """rᵀ P r, the residual sum of squares, with that of facts and of terms with a prior."""
+        left, fit, terms = self.left, self.fit, self.fit.terms
         square = np.vdot(left.window, left.window) + np.vdot(left.link, left.link)
+        square += 2 * quadratic(fit.chain.facts, fit.state.parameters)[0]
         square += 0.0 if terms is None else terms.precision @ terms.value**2
         return float(square - left.absorbed @ left.absorbed - left.explained @ left.explained)
 
@@ -147,7 +152,10 @@ class WhitenedFit:
         residuals = fit.residuals
         window = residuals.window * self._residual_scale
         link = residuals.link * self.link_scale
-        absorbed = self.absorbed(window[None], link[None])[0]
+        border = self._border(window[None], link[None])
+        if self._past is not None:
+            border[0, :, 0] += self._past.gradient[-2:]
+        absorbed = forward_solved(self.factor, border)[0]
         own = self.estimated
         pull = own.window.reshape(len(own.free), -1) @ window.ravel() - own.half @ absorbed
         pull[own.linked] += own.link @ link.ravel()
@@ -155,6 +163,11 @@ class WhitenedFit:
         return WhitenedResidual(
             window.ravel(), link.ravel(), absorbed, self.estimated.explained(pull[:, None])[:, 0]
         )
+
+    @cached_property
+    def _past(self) -> QuadraticPrior | None:
+        """The past of an online chain, which pulls at θ and at the first direction."""
+        return self.fit.chain.known(self.fit.state, self.fit.reduced.basis)
 
     @cached_property
     def window_scale(self) -> Array:
@@ -180,9 +193,10 @@ class WhitenedFit:
         size, n = len(fit.free), len(fit.chain.windows)
         on_bias = np.ascontiguousarray(reduced.on_bias.swapaxes(0, 1)).reshape(3, -1)
         half = reduced.half[:, :size].T
+        pull = quadratic(fit.chain.facts, fit.state.parameters)[1]
+        pull += 0.0 if self._past is None else self._past.gradient[:size]
         if terms is None:
-            none = np.zeros(size)
-            return Estimated(fit.free, reduced.on_parameters, _BIAS, on_bias, half, reduced.information, none)
+            return Estimated(fit.free, reduced.on_parameters, _BIAS, on_bias, half, reduced.information, pull)
         count, (own_window, own_link) = terms.columns.size, terms.columns
         window = np.zeros((count, 3, n)) if own_window is None else own_window * self._residual_scale
         link = np.zeros((count, 3, n - 1)) if own_link is None else own_link * self.link_scale
@@ -198,11 +212,15 @@ class WhitenedFit:
             np.concatenate([on_bias, flat_link]),
             np.concatenate([half, absorbed]),
             np.block([[reduced.information, across], [across.T, square]]),
-            np.append(np.zeros(size), terms.precision * terms.value),
+            np.append(pull, terms.precision * terms.value),
         )
 
     def absorbed(self, window: Array | None, link: Array | None) -> Array:
         """Return Zᵀ (k, 2n) of whitened columns (k, 3, n) of windows and (k, 3, n − 1) of links."""
+        return forward_solved(self.factor, self._border(window, link))
+
+    def _border(self, window: Array | None, link: Array | None) -> Array:
+        """Return the products (k, 2, n) of the directions' Jacobian with whitened columns."""
         reduced, count = self.fit.reduced, len(link if window is None else window)  # type: ignore[arg-type]
         border = np.zeros((count, 2, reduced.basis.shape[2]))
         if window is not None:
@@ -210,4 +228,4 @@ class WhitenedFit:
         if link is not None:
             border[:, :, 1:] += np.einsum("ian,kin->kan", reduced.after, link)
             border[:, :, :-1] += np.einsum("ian,kin->kan", reduced.before, link)
-        return forward_solved(self.factor, border)
+        return border
