@@ -146,8 +146,8 @@ class OnlineCalibrator:
     def calibration(self) -> Calibration | None:
         """The current estimate with covariance, `converged` and `message`; None before there is one.
 
-        Its verdict is that of the batch method on the samples so far. Use it where `OnlineCalibrator.converged` is true,
-        too: the estimate may still change.
+        Its verdict is that of the batch method on the samples so far. Use it only while `OnlineCalibrator.converged` is
+        true: before, the estimate may still change.
         """
         self._catch_up()
         if self._read is not None:
@@ -164,7 +164,7 @@ class OnlineCalibrator:
     @property
     @one_thread
     def converged(self) -> bool:
-        """Whether the estimate may be used: the calibration is trusted, and has stopped changing."""
+        """Whether the estimate may be used: the calibration, which this may compute, is trusted and has settled."""
         self._catch_up()
         return self._engine.converged() and not refusal(self._faults) and not self._counted_twice
 
