@@ -2,7 +2,7 @@
 
     env -u OMP_NUM_THREADS -u OPENBLAS_NUM_THREADS python benchmarks/threads.py
 
-The public functions hold BLAS to one thread (`magyc_gtsam/one_thread.py`); here the functions inside are called with
+The public functions hold BLAS to one thread (`factors/one_thread.py`); here the functions inside are called with
 the threads that BLAS starts by itself. Printed are medians of the passed and of the processor time, and ratios.
 """
 
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import magyc_gtsam as mg
-from magyc_gtsam import one_thread
+from magyc_gtsam.factors.one_thread import one_thread
 
 DIVE = Path(__file__).parent.parent / "datasets" / "calibration_dive.mcap"
 
@@ -21,7 +21,7 @@ def timed(function: Callable[[], object], limited: bool) -> tuple[float, float]:
     """Passed and processor time of a call, ms."""
     time.sleep(0.2)  # threads of the call before spin for a while after it
     wall, processor = time.perf_counter(), time.process_time()
-    (one_thread.one_thread(function) if limited else function)()
+    (one_thread(function) if limited else function)()
     return (time.perf_counter() - wall) * 1e3, (time.process_time() - processor) * 1e3
 
 

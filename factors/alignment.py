@@ -24,7 +24,7 @@ from magyc_gtsam.factors.variables import Array, attitude, choose
 
 @dataclass(frozen=True)
 class AlignmentLimits:
-    """Limits of the verdict on the graph's heading, each measured on the vehicles of `benchmarks/slam.py starts`.
+    """Limits of the verdict on the graph's heading, each measured on vehicles of `benchmarks/slam_health.py starts`.
 
     Attributes:
         near: rad, heading error from which quadratics that are renewed still converge.

@@ -18,7 +18,7 @@ from magyc_gtsam.factors.variables import Array
 
 _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
 # Fraction of the tolerance that applies at the first check of a quadratic, when renewing it costs least. With 1
-# instead, the checks on 25 blocks of `benchmarks/slam.py cost --motion wide` need 62 linearisations; with 0.1 they
+# instead, the checks on 25 blocks of `benchmarks/slam_cost.py --motion wide` need 62 linearisations; with 0.1 they
 # need 36.
 _FIRST_CHECK = 0.1
 
