@@ -200,3 +200,10 @@ def test_a_term_of_an_earlier_form_is_refused(name: str, setting: dict[str, floa
     saved = {"name": name, "value": [1.0], "covariance": [[1.0]], "setting": setting}
     with pytest.raises(MagycError, match="form of version 0.1.0"):
         Term.from_dict(saved)
+
+
+def test_a_term_without_a_setting_that_it_needs_is_no_internal_error() -> None:
+    recording = mg.simulate("wide", 60, seed=3).recording
+    plate = Term("eddy-plane", [1e-3] * 3, 1e-8 * np.eye(3))
+    with pytest.raises(MagycError, match="setting 'x' is missing"):
+        replace(mg.calibrate(recording), terms=(plate,)).apply(recording)

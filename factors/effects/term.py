@@ -63,8 +63,18 @@ class Term:
         return np.sqrt(np.diag(self.covariance))
 
     def evaluate(self, signals: Signals) -> Array:
-        """Return the contribution (3, n) to the reading of its sensor, in T or rad/s."""
-        return FORMS[self.name].evaluate(signals, self.value, self.setting)
+        """Return the contribution (3, n) to the reading of its sensor, in T or rad/s.
+
+        Raises:
+            MagycError: a signal or a setting that it needs is missing.
+        """
+        try:
+            return FORMS[self.name].evaluate(signals, self.value, self.setting)
+        except KeyError as missing:
+            raise MagycError(
+                f"term {self.name!r}: setting {missing} is missing in this calibration; diagnose the log again with "
+                "`magyc-gtsam gap`"
+            ) from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the term in JSON types."""
