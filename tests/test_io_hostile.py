@@ -386,12 +386,12 @@ def test_a_message_shorter_than_its_head_costs_itself(log: Path) -> None:
     np.testing.assert_array_equal(back.magnetic_field, recording().magnetic_field)
 
 
-pytest.importorskip("rosbags")
 _N = 400
 
 
 def bag(path: Path, compression: str) -> Path:
     """A bag of one magnetometer with one chunk."""
+    pytest.importorskip("rosbags")
     from rosbags import rosbag1
     from rosbags.typesys import Stores, get_typestore
 
