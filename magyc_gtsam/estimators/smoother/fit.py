@@ -22,8 +22,8 @@ MAX_ITERATIONS = 40
 # an online run during which a magnet was attached by hand took more than 250: with a limit of 250 the removal of the
 # magnet was not found.
 PATIENCE = 300
-# The limit for auxiliary fits, whose question a fit without convergence leaves unanswered, and for alternative starts:
-# those that led to another calibration of the same logs took 12 to 53.
+# The limit for auxiliary fits, whose question a fit without convergence leaves unanswered, and for starts from a part
+# of the log: starts that led to another calibration of the same logs took 12 to 53.
 BRIEF = 120
 SETTLED = 5e-3  # squared distance from the minimum, in sigmas, at which a descent ends
 NEAR = 4.0  # the same limit between updates of noise levels and weights: two sigmas

@@ -53,10 +53,10 @@ def fit_field_chain(
     Args:
         recording: with magnetometer and gyroscope.
         options: of the smoother; None takes the options `chosen` by name, and no misalignment.
-        start: θ near the minimum; no other start is tried.
+        start: θ near the minimum; no start from a part of the recording is tried.
         progress: called with the share done.
-        brief: for an auxiliary fit beside a calibration: no other start is tried, and a descent that does not converge
-            is abandoned earlier.
+        brief: for an auxiliary fit beside a calibration: likewise, and a descent that does not converge is abandoned
+            earlier.
 
     Raises:
         MagycError: too few windows, inconsistent axes or units of the sensors, or, if brief, no minimum.
