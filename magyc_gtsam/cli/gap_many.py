@@ -111,11 +111,12 @@ def weight_rows(gap: GapOfMany, count: int) -> list[list[str]]:
 
 
 def _show(gap: GapOfMany, folder: Path) -> None:
-    show(f"{'✔' if gap.verdict in _GOOD else '✘'} {_headline(gap)}: {gap.sentence}", "")
+    show(f"{'✔' if gap.verdict in _GOOD else '✘'} {_headline(gap)}: {gap.sentence}")
     if gap.effects:
-        show_table(EFFECTS, effect_rows(gap))
         show("")
-    show(*(f"{own.log}: {own.sentence}" for own in gap.own))
+        show_table(EFFECTS, effect_rows(gap))
+    if gap.own:
+        show("", *(f"{own.log}: {own.sentence}" for own in gap.own))
     show("", "Other hypotheses, against the model with these effects:")
     show_table(WEIGHTS, weight_rows(gap, _SHOWN))
     show_results(folder)

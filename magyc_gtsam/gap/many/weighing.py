@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import expit, logsumexp, softmax
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
@@ -111,9 +111,9 @@ def mixture(tables: Array) -> tuple[float, Array, float]:
     share = np.array(MODEL.shares)[:, None, None, None]
     mixed = np.log1p(share * np.expm1(np.minimum(tables, _FAR))) + np.maximum(tables - _FAR, 0.0)
     nats = mixed.sum(axis=-1)  # (shares, kinds, scales)
-    weight = np.exp(nats - logsumexp(nats))
+    weight = softmax(nats)
     odds = tables + np.log(share) - np.log1p(-share)
-    present = (weight[..., None] * expit(odds)).sum(axis=(0, 1, 2))
+    present = np.minimum((weight[..., None] * expit(odds)).sum(axis=(0, 1, 2)), 1.0)  # but for rounding
     return float(logsumexp(nats) - np.log(nats.size)), present, float(weight[-1].sum())
 
 
