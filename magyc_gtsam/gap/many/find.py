@@ -108,8 +108,6 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
     weighed = _look(state.logs, asked)
     state = replace(state, weighed=weighed)
     strongest = weighed[0]
-    if strongest.nats < MODEL.sure:
-        return state, False
     explained = sum(each.evidence for each in state.added)
     if strongest.nats < MODEL.sure + MODEL.remain * explained:
         return state, False
@@ -122,12 +120,10 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
         return (ahead if going else state), going
     if strongest.nats < MODEL.sure + MODEL.remain * (explained + sum(log.of_field for log in state.logs)):
         return state, False
-    if not strongest.named:
-        few = strongest.present > MODEL.plain
-        alone = strongest.apart > strongest.shared and 0 < few.sum() <= max(1, MODEL.few * len(few))
-        if alone and len(few) - few.sum() >= MODEL.least:
-            return _without_logs(state, few, strongest), True
-        return replace(state, unknown=strongest.name), False
+    few = strongest.present > MODEL.plain
+    alone = strongest.apart > strongest.shared and 0 < few.sum() <= max(1, MODEL.few * len(few))
+    if not strongest.named and alone and len(few) - few.sum() >= MODEL.least:
+        return _without_logs(state, few, strongest), True
     return replace(state, unknown=strongest.name), False
 
 
