@@ -239,6 +239,7 @@ _TURNS = "in fast turns the reading is off by {}"
 _DELAYED = "the delay varies, or a filter is in it, which is worth {}"
 _SCALED = "the gyroscope's scale or axes are off by {}"
 _BIASED = "the gyroscope's bias changes with time by {}"
+_TILTED = "the gyroscope's bias varies with the attitude by {}"
 _ALONG = WindowMotion.in_sensor
 
 FAMILIES = (
@@ -267,6 +268,7 @@ FAMILIES = (
         unit="rate",
         stage=2,
     ),
+    ColumnFamily("gyroscope:field", _TILTED, lambda m: m.about_each_axis(m.unit), 0.0075, 3, unit="rate", stage=2),
     ColumnFamily(
         "halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half, stage=2
     ),
