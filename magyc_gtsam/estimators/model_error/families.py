@@ -140,6 +140,11 @@ def _third(vector: Array) -> Array:
     )
 
 
+def _main_axis(vector: Array) -> Array:
+    """Return the axis (3,) along which vectors (3, n) are largest."""
+    return np.asarray(np.linalg.eigh(vector @ vector.T)[1][:, -1])
+
+
 def _skew(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a misalignment between the chips, the antisymmetric part of the soft iron."""
     turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
@@ -151,6 +156,11 @@ def _speed(motion: WindowMotion) -> UnmodelledColumns:
     size = np.abs(motion.rate)
     size -= size.mean(axis=1, keepdims=True)
     return motion.in_sensor(size / max(float(np.sqrt(np.mean(size**2))), ALIKE))
+
+
+def _rate_times_field(motion: WindowMotion) -> UnmodelledColumns:
+    products = np.einsum("in,jn->ijn", motion.relative, motion.unit).reshape(9, -1)
+    return motion.in_sensor(products * np.sqrt(3.0))
 
 
 def _slope(motion: WindowMotion) -> Array:
@@ -196,13 +206,19 @@ def _halves(motion: WindowMotion) -> UnmodelledColumns:
 
 def _directions(motion: WindowMotion) -> UnmodelledColumns:
     """Return columns that differ between the two senses of turn about the axis of most rotation."""
-    axis = np.linalg.eigh(motion.rate @ motion.rate.T)[1][:, -1]
-    return _split(motion, np.sign(axis @ motion.rate))
+    return _split(motion, np.sign(_main_axis(motion.rate) @ motion.rate))
 
 
 def _speeds(motion: WindowMotion) -> UnmodelledColumns:
     speed = np.linalg.norm(motion.rate, axis=0)
     return _split(motion, np.sign(speed - np.median(speed)))
+
+
+def _bent_rate(motion: WindowMotion) -> UnmodelledColumns:
+    """Return columns of the squares and products of the rates, and of each rate times its absolute value."""
+    w = motion.relative
+    products = np.array([w[i] * w[j] for i in range(3) for j in range(i, 3)] + [row * abs(row) for row in w])
+    return motion.about_each_axis(motion.spread * products)
 
 
 def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
@@ -239,6 +255,7 @@ _TURNS = "in fast turns the reading is off by {}"
 _DELAYED = "the delay varies, or a filter is in it, which is worth {}"
 _SCALED = "the gyroscope's scale or axes are off by {}"
 _BIASED = "the gyroscope's bias changes with time by {}"
+_BENT = "in fast turns the gyroscope is off by {} of its rate"
 _TILTED = "the gyroscope's bias varies with the attitude by {}"
 _ALONG = WindowMotion.in_sensor
 
@@ -254,6 +271,7 @@ FAMILIES = (
     ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, stage=1),
     ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
     ColumnFamily("speed", _TURNS, _speed, 0.02, 3),
+    ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9, stage=2),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, from_rate=True),
     ColumnFamily(
         "gyroscope:linear", _SCALED, lambda m: m.about_each_axis(m.rate), 0.03, stage=1, unit="share", mixed=True
@@ -268,6 +286,7 @@ FAMILIES = (
         unit="rate",
         stage=2,
     ),
+    ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share", stage=2),
     ColumnFamily("gyroscope:field", _TILTED, lambda m: m.about_each_axis(m.unit), 0.0075, 3, unit="rate", stage=2),
     ColumnFamily(
         "halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half, stage=2
