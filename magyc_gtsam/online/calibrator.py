@@ -146,8 +146,8 @@ class OnlineCalibrator:
     def calibration(self) -> Calibration | None:
         """The current estimate with covariance, `converged` and `message`; None before there is one.
 
-        Its verdict is that of the batch method on the samples so far. Use it only while `OnlineCalibrator.converged` is
-        true: before, the estimate may still change.
+        Its verdict, `trusted`, is that of the batch method on the samples so far. Use it where it is trusted and
+        `OnlineCalibrator.converged` is true: before, the estimate may still change.
         """
         self._catch_up()
         if self._read is not None:
@@ -164,7 +164,10 @@ class OnlineCalibrator:
     @property
     @one_thread
     def converged(self) -> bool:
-        """Whether the estimate may be used: the calibration, which this may compute, is trusted and has settled."""
+        """Whether the estimate has settled: it was trusted at the last refit, which changed it little.
+
+        It costs nothing at every sample; `calibration.trusted` takes the newest samples into account as well.
+        """
         self._catch_up()
         return self._engine.converged() and not refusal(self._faults) and not self._counted_twice
 

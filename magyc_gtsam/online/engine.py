@@ -84,7 +84,7 @@ class Engine(Protocol):
         """Return the current estimate, None before there is one. Does not change the state."""
 
     def converged(self) -> bool:
-        """Return whether the estimate may be used: it is trusted and stable. Does not change the state."""
+        """Return whether the last refit is trusted and stable, without a new estimate. Does not change the state."""
 
     def progress(self) -> Progress:
         """Return the progress and the missing motion. Does not change the state."""

@@ -207,10 +207,7 @@ class OnlineSmoother:
     def converged(self) -> bool:
         """See `Engine.converged`: the last refit had enough windows and changed the estimate little."""
         belief = self._online.belief
-        if not belief.stable or belief.next_refit < int(REFIT_GROWTH * _LEAST_CONVERGED) or belief.waiting:
-            return False
-        calibration = self.calibration()  # the newest samples may contradict that refit
-        return calibration is not None and calibration.trusted
+        return belief.stable and belief.next_refit >= int(REFIT_GROWTH * _LEAST_CONVERGED) and not belief.waiting
 
     def progress(self) -> Progress:
         """See `Engine.progress`."""

@@ -108,7 +108,7 @@ class OnlineNode:
             self.online.save(self.state)
         if calibration is not None:
             calibration.save(self.output)
-        if progress.converged:
+        if progress.converged and calibration is not None and calibration.trusted:
             self.calibration = calibration
         if progress.sentence != self._said:
             self._said = progress.sentence
