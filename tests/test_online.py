@@ -41,7 +41,7 @@ def distance(calibration, batch):
 
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
-def test_the_end_result_is_that_of_the_batch(motion):
+def test_the_end_result_is_that_of_the_batch(motion, monkeypatch):
     recording = simulate(motion, duration=200, seed=3).recording
     online, batch = feed(OnlineCalibrator(), recording), calibrate(recording)
     calibration = online.calibration
@@ -51,6 +51,10 @@ def test_the_end_result_is_that_of_the_batch(motion):
     np.testing.assert_allclose(np.diag(calibration.covariance), np.diag(batch.covariance), rtol=0.25)
     assert online.changes == ()
     assert online.progress.sentence == "converged"
+    untrusted = replace(calibration, converged=False, message="in doubt")
+    monkeypatch.setattr(online._engine, "_of_samples_so_far", lambda: untrusted)
+    online.update(recording.time[-1:] + 0.1, recording.magnetic_field[-1:], recording.angular_rate[-1:])
+    assert (online.progress.converged, online.progress.sentence) == (False, "in doubt")
 
 
 def test_how_the_samples_are_cut_does_not_matter():

@@ -215,7 +215,7 @@ class OnlineSmoother:
         windows = belief.given_up + len(online.numbers())
         seen = 0.0 if calibration is None else coverage(calibration, self.field())
         weak = calibration.observability.weak if calibration and calibration.observability else ()
-        converged = self.converged()
+        converged = self.converged() and calibration is not None and calibration.trusted
         if belief.problem:
             sentence = belief.problem
         elif calibration is None:

@@ -36,9 +36,8 @@ from magyc_gtsam.sensor_faults.cut_off import inside
 class _Limits:
     """Thresholds, set on vehicles of five kinds with a jump of 3 µT per axis, and on real logs without a jump."""
 
-    shortest: float = (
-        15.0  # s measured in all stretches together, and of a break between two; less seldom turns enough
-    )
+    # s measured in all stretches together, and of a break between two; less seldom turns enough
+    shortest: float = 15.0
     disturbed: float = 0.5  # weight of a window below which it counts as disturbed
     smoothed: float = 5.0  # s, length of the median filter of the weights, and of a stretch
     bridged: float = 0.5  # share of the longer stretch beside a break up to which the break is not one
@@ -51,9 +50,8 @@ class _Limits:
     # Least change: of the hard iron over the field strength (a degree of heading), of a soft iron's element, in rad
     smallest: float = 0.02
     misaligned: float = float(np.radians(20.0))  # prior standard deviation of the misalignment after a remounting
-    distance: float = (
-        60.0  # least squared Mahalanobis distance of two instruments, 12 degrees of freedom: as 36 of 3
-    )
+    # least squared Mahalanobis distance of two instruments, 12 degrees of freedom: as 36 of 3
+    distance: float = 60.0
 
 
 _LIMITS = _Limits()
