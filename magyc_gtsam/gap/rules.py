@@ -98,10 +98,11 @@ class Rules:
     block: float = 10.0  # s, of a held-out block at most
     knots_apart: float = 4.0  # s between knots of a spline in time, at least
     one_vector: int = 3  # values; more are determined unequally by a motion, and need a prior from the data
-    # modes of a drift, beside a straight line: the slow part of a random walk, smooth or less; with 24 a jump of 6 µT
-    # that was added to a walk with a phone was called a drift; with 12 alone six of 18 smooth drifts of 1.5 to 4 µT are
-    # named, with 4 or 12 fifteen
-    drift_modes: tuple[int, ...] = (4, 12)
+    # smallest number of modes of an irregular drift, beside a straight line, and how many times as many the next has:
+    # with 4 and 12 alone, a third of the drifts of twice a published strength were "unknown" beside the drift (edition
+    # 355)
+    drift_modes: int = 4
+    drift_finer: int = 3
     # s, shortest period of these modes: with 7 s a jump in a log of 28 s was called a drift, with 25 s correlated noise
     # was named beside a drift in one of 51 s (edition 332); 9 to 17 s name both
     drift_period: float = 12.0

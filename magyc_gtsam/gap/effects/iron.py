@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from collections.abc import Iterator
+from itertools import combinations, islice
 
 import numpy as np
 
@@ -76,12 +77,19 @@ def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     return [s for s in result if s["time"] < s.get("until", np.inf)]
 
 
+def irregular_drifts(twin: Twin) -> Iterator[dict[str, float]]:
+    """Yield the settings of the slow part of a random walk, from few modes to as many as its shortest period allows."""
+    start, end = float(twin.time[0]), float(twin.time[-1])
+    most, order = int(2 * (end - start) / RULES.drift_period), RULES.drift_modes
+    while order < RULES.drift_finer * most:
+        yield {"order": float(min(order, most)), "start": start, "end": end}
+        order *= RULES.drift_finer
+
+
 def _drifts(twin: Twin) -> list[dict[str, float]]:
     """Return a straight line, and the slow part of a random walk in a few modes or more."""
     start, end = float(twin.time[0]), float(twin.time[-1])
-    most = int(2 * (end - start) / RULES.drift_period)
-    orders = sorted({0, *(min(modes, most) for modes in RULES.drift_modes)})
-    return [{"order": float(order), "start": start, "end": end} for order in orders]
+    return [{"order": 0.0, "start": start, "end": end}, *islice(irregular_drifts(twin), 2)]
 
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:

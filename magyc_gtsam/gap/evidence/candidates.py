@@ -14,6 +14,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting, per_axis
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects.iron import irregular_drifts
 from magyc_gtsam.gap.evidence.generic import Family, families
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.field_variation import CORRELATION, waves
@@ -118,15 +119,15 @@ def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
 
 
 def with_each_drift(model: Model, twin: Twin) -> Iterator[Model]:
-    """Yield a model, and the same with other numbers of modes of its drift, which depend on the effects beside it."""
-    yield model
+    """Yield a model with each number of modes of its irregular drift, ascending; as it is without such a drift."""
     for index, term in enumerate(model.terms):
-        for setting in TERMS[DRIFT].settings(twin) if term.name == DRIFT else ():
-            order = int(setting["order"])
-            if order and term.setting["order"] and order != term.setting["order"]:
+        if term.name == DRIFT and term.setting["order"]:
+            for setting in irregular_drifts(twin):
                 terms = list(model.terms)
-                terms[index] = Active(term.name, setting, np.zeros(3 * order))
+                terms[index] = Active(DRIFT, setting, np.zeros(3 * int(setting["order"])))
                 yield replace(model, terms=tuple(terms))
+            return
+    yield model
 
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:

@@ -30,6 +30,7 @@ from magyc_gtsam.gap.rules import RULES
 
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
 _COLOURED = float(np.log(COLOURS))  # the same for that of coloured noise
+_MORE_MODES = float(np.log(RULES.drift_finer))
 _FINER = 2  # rounds of refining a setting
 _BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 
@@ -211,11 +212,16 @@ class Tree:
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
         names, search = (*node.names, option.name), node.search + option.search
-        fits = (self._fit(each, node.fit.twin) for each in with_each_drift(model, node.fit.twin))
-        nodes = [self._node(names, fit, _variation(names, fit), search) for fit in fits if fit is not None]
-        if not nodes:
+        best: Node | None = None
+        for each in with_each_drift(model, node.fit.twin):  # a number of modes has a prior of 1 / number
+            fit = self._fit(each, node.fit.twin)
+            child = None if fit is None else self._node(names, fit, _variation(names, fit), search)
+            if best is not None and (child is None or child.log < best.log + _MORE_MODES):
+                break
+            best = child
+        if best is None:
             self.refused.add(node.key_with(option.name))
-        return max(nodes, key=lambda each: each.log, default=None)
+        return best
 
     def _fit(self, model: Model, known: Twin | None) -> Refit | None:
         """Fit a model; None if there is no fit or a value is impossible."""
