@@ -78,7 +78,7 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
         *_noise(said, first, fitted, stated),
         *_varying(said.tree.best, stated),
     ]
-    there = {name: rivals[name] for name in rivals if any(one.name == name for one in found)}
+    there = {one.name: rivals.get(one.name, ()) for one in found}
     left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
     if drift_apart(fitted) or (left and "timing" not in rivals and drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
@@ -115,9 +115,10 @@ def _any_of(posterior: Mapping[Set, float], wanted: AbstractSet[str]) -> float:
 def _unnamed(posterior: Mapping[Set, float], rivals: Mapping[str, Sequence[str]], given: Sequence[str]) -> float:
     """Return the probability that an effect is present that is neither named, nor a rival, nor given."""
     said = {*given, *rivals, *(name for more in rivals.values() for name in more)}
+    explain = {*TERMS, FIELD_VARIATION}
     result = 0.0
     for (names, unknown), p in posterior.items():
-        if unknown or any(name in TERMS and name not in said for name in names):
+        if unknown or any(name in explain and name not in said for name in names):
             result += p
     return result
 
