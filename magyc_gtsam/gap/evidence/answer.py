@@ -120,8 +120,7 @@ def _bare(model: Model, level: SensorNoise) -> Model:
 
 
 def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, float]:
-    sensor = sensor_variation(tree)
-    each = list(weights(tree, sensor))
+    each = list(weights(tree))
     if coloured and "quantisation" not in said:
         for node in tree.nodes.values():
             if node.variation is not None:
@@ -134,7 +133,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
                 each.append(SetWeight(with_colour, node.log + PRIOR.named + colour.alike))
                 log = node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way
                 each.append(SetWeight(key, log, power))
-    models = summed(each, sensor)
+    models = summed(each, sensor_variation(tree))
     for name, odds in said.items():  # beside every set
         there = {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
         if name in ("spikes", "tone") and odds > 0:  # or a part of the unknown effect

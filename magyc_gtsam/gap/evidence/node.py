@@ -39,6 +39,7 @@ class Node:
         scales: (t,) the most probable scale of each term's values.
         beside: the marginalised set, beside which candidates are tested.
         found: the candidates tested beside it.
+        moving: nats of a variation like that of the field, but in the sensor's axes: of an unknown effect.
         refined: names whose most probable setting was refined on a finer grid.
     """
 
@@ -53,6 +54,7 @@ class Node:
     scales: Array
     beside: Beside
     found: dict[str, Weighed] = field(default_factory=dict)
+    moving: list[float] = field(default_factory=list)
     refined: set[str] = field(default_factory=set)
 
     @property

@@ -38,19 +38,14 @@ class SetWeight(NamedTuple):
     powers: Mapping[str, float] = MappingProxyType({})
 
 
-def weights(tree: Tree, sensor: float) -> Iterator[SetWeight]:
-    """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect.
-
-    Args:
-        tree: of the fitted sets.
-        sensor: log odds of a variation in the sensor's axes against one of the field (`sensor_variation`).
-    """
+def weights(tree: Tree) -> Iterator[SetWeight]:
+    """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect."""
     tried = tree.nodes.keys() | tree.refused
     for node in tree.nodes.values():
         key, powers = node.present, node.powers
         form, (foreign, seen) = _families(tree, node, powers)
-        known = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
-        yield SetWeight(key, known, None, powers)
+        log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
+        yield SetWeight(key, log, None, powers)
         if np.isfinite(foreign):
             yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
         for log, seen in _products(node, powers):
@@ -61,9 +56,8 @@ def weights(tree: Tree, sensor: float) -> Iterator[SetWeight]:
         if colour is not None and node.key_with(COLOUR) not in tried:
             logs = np.where(colour.power > _deviation(node, powers, colour), colour.by_scale, -np.inf)
             yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + logsumexp(logs), None, powers)
-        if node.variation is not None:  # a cause that moves with the sensor, in place of a field of the place
-            others = {name: power for name, power in powers.items() if name != FIELD_VARIATION}
-            yield SetWeight(tuple(sorted(others)), known + sensor, node.of_field, others)
+        for gain in node.moving:  # the only unknown effect that resembles a field of the place
+            yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
         for each in node.found.values():  # sets that were not fitted, in linearised form
             more = tuple(sorted((*node.names, each.name)))
             if each.name in TERMS and each.name not in node.names and more not in tried:
@@ -168,28 +162,26 @@ def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
 
 
 def sensor_variation(tree: Tree) -> float:
-    """Return the log odds of a variation in the sensor's axes against that of the field in the world's; 0 without one.
+    """Return the nats of a variation in the sensor's axes, in place of the field's in the world's; 0 without one.
 
-    A cause that moves with the sensor, like a magnet that rolls, has the first; a room has the second. Both are
-    approximate: up to `world_ahead` nats between them decide nothing.
+    A cause that moves with the sensor, like a magnet that rolls, has the first; a room has the second.
     """
     varying = [node for node in tree.nodes.values() if node.variation is not None]
     best = max(varying, key=lambda node: node.log, default=None)
     if best is None or best.variation is None:
         return 0.0
-    ahead = best.variation.gain - field_variation(best.fit.twin, in_world=False).gain
-    return -max(ahead - PRIOR.world_ahead, 0.0) + max(-ahead, 0.0)
+    return field_variation(best.fit.twin, in_world=False).gain - best.variation.gain
 
 
-def summed(each: Iterable[SetWeight], sensor: float) -> dict[Set, float]:
+def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
     """Return {set: log weight}, with the sets in which one cause outside the catalogue resembles some effects together.
 
     Such a cause becomes more probable with the number of effects that it replaces: each of them has its own prior, the
     cause only one. Usually a part of it is also detected as an unknown effect, larger than a deviation from the form of
     all names, and what the largest effect does not explain of it has a power comparable to that effect's. If that is
     less than the least share that the rest of one imitated effect may have, it is that effect. A detected cause may
-    replace the field variation, too, by one that moves with the sensor (`sensor`: log odds). None replaces effects on
-    single samples.
+    replace the field variation, too, by one that moves with the sensor (`sensor_variation`), at the
+    odds by which that one explains less, beyond `world_ahead`. None replaces effects on single samples.
     """
     logs: dict[Set, list[float]] = {}
     for one in each:
@@ -207,7 +199,7 @@ def summed(each: Iterable[SetWeight], sensor: float) -> dict[Set, float]:
                 if FIELD_VARIATION in alike and not evident:
                     continue
                 odds = (count - 1) * PRIOR.each_more + (0.0 if evident else PRIOR.all_named)
-                odds += min(sensor, 0.0) if FIELD_VARIATION in alike else 0.0
+                odds += min(sensor + PRIOR.world_ahead, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)
     return {key: float(logsumexp(values)) for key, values in logs.items()}

@@ -64,9 +64,8 @@ class Prior:
         improbable: probability below which an effect is neither a rival nor possible.
         certain: nats for effects that are detected with certainty or not at all.
         world_ahead: nats by which a varying field must explain more than the same variation in the sensor's axes, so
-            that no unknown cause is taken for it; both are approximate. It is 12 to 500 in 22 of 26 real logs, and -1
-            to 12 in the others; at most 8 for three foreign effects of edition 314, and -3 to 9 for eight of nine of
-            edition 355 that were called a varying field, 13 for one.
+            that no unknown cause is taken for it; both are approximate. It is 28 to 137 in four real rooms, and at most
+            8 for three foreign effects of edition 314, on which it was chosen.
         whole: probability that a family is present as a whole, not in one of its parts.
         not_quite: log odds that an effect visibly deviates from its form, by less than `form`.
         beyond: upper limit of an effect's values, in prior standard deviations.
@@ -99,7 +98,7 @@ class Prior:
     missing_from: float = 0.9
     improbable: float = 0.05
     certain: float = 12.0
-    world_ahead: float = 9.0
+    world_ahead: float = 12.0
     whole: float = 0.5
     not_quite: float = float(np.log(0.5))
     beyond: float = 2.0
