@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.effects.forms import FORMS, per_axis
+from magyc_gtsam.factors.effects.changes import per_axis
+from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects.term import measured
 from magyc_gtsam.gap.model.refit import spread

@@ -13,13 +13,13 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_banded
 
 from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices
+from magyc_gtsam.factors.effects import changes
+from magyc_gtsam.factors.effects.changes import Setting, per_axis
 from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.factors.errors import MagycError
 
-Setting = Mapping[str, float]
 _COERCIVE = (np.arange(8) + 0.5) / 8  # coercive fields of the pieces of a hysteresis, relative to the largest
 RATE_MATRIX = ("x", "y", "z", "xy", "xz", "yz")  # elements of a symmetric matrix that multiplies the rate
 
@@ -49,79 +49,6 @@ class Form(NamedTuple):
         return result
 
 
-def per_axis(profile: Array) -> Array:
-    """Return the columns e_i · profile_j (3p, 3, n) of profiles (p, n)."""
-    p, n = profile.shape
-    result = np.zeros((p, 3, 3, n))
-    for i in range(3):
-        result[:, i, i] = profile
-    return result.reshape(3 * p, 3, n)
-
-
-def referenced(channel: Array, setting: Setting) -> list[int]:
-    """Return the rows of a channel (k, n) that have a reference (`reference_0`, … in the setting); all, if none has."""
-    known = [int(name.removeprefix("reference_")) for name in setting if name.startswith("reference_")]
-    return sorted(known) or list(range(len(channel)))
-
-
-def _beyond_reference(channel: Array, setting: Setting) -> Array:
-    """Return the referenced rows of a channel (k, n), less their references."""
-    rows = referenced(channel, setting)
-    if rows[-1] >= len(channel):
-        raise MagycError(
-            f"an effect of channel {rows[-1] + 1} of its kind meets data with {len(channel)}; the recording must have "
-            "the same channels as the one that was calibrated"
-        )
-    result: Array = channel[rows] - np.array([[setting.get(f"reference_{i}", 0.0)] for i in rows])
-    return result
-
-
-def _motor_current(s: Signals, setting: Setting) -> Array:
-    return per_axis(_beyond_reference(s.need("current"), setting))
-
-
-def _temperature(s: Signals, setting: Setting) -> Array:
-    """Return the columns of a part that follows the thermometer by `lag` s, as a battery does: a first-order
-    response.
-    """
-    warm = _beyond_reference(s.need("temperature"), setting)
-    return per_axis(_lagged(s.need("time"), warm, setting.get("lag", 0.0)))
-
-
-def _lagged(time: Array, rows: Array, lag: float) -> Array:
-    """Return (k, n) rows after a first-order filter that starts in equilibrium."""
-    if lag <= 0:
-        return rows
-    decay = np.exp(-np.diff(time) / lag)
-    return _remembered(decay, np.column_stack([rows[:, :1], (1 - decay) * rows[:, 1:]]))
-
-
-def _remembered(decay: Array, driven: Array) -> Array:
-    """Return yₙ = decayₙ yₙ₋₁ + drivenₙ, y₀ = driven₀, (k, n), by a bidiagonal system; decay (n − 1,)."""
-    band = np.array([np.ones(driven.shape[1]), np.append(-decay, 0.0)])
-    result: Array = solve_banded((1, 0), band, driven.T).T
-    return result
-
-
-def _step(s: Signals, setting: Setting) -> Array:
-    """Return the columns of a step at `time`, which ends at `until` where the setting has one."""
-    time = s.need("time")
-    on = (time > setting["time"]) & (time <= setting.get("until", np.inf))
-    return per_axis(on.astype(float)[None])
-
-
-def _drift(s: Signals, setting: Setting) -> Array:
-    """Return the columns of a drift over [start, end]: `order` cosines of half periods, the modes of a random walk.
-
-    An order of 0 is a linear drift.
-    """
-    share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
-    order = int(setting["order"])
-    if order == 0:
-        return per_axis(share[None] - 0.5)
-    return per_axis(np.cos(np.pi * np.arange(1, order + 1)[:, None] * np.clip(share, 0.0, 1.0)))
-
-
 def _misalignment(s: Signals, setting: Setting) -> Array:
     rate = s.need("rate")
     return np.stack([cross(axis[:, None], rate) for axis in np.eye(3)])
@@ -129,6 +56,11 @@ def _misalignment(s: Signals, setting: Setting) -> Array:
 
 def _timing(s: Signals, setting: Setting) -> Array:
     return -s.need("field_rate")[None]
+
+
+def _axis_delays(s: Signals, setting: Setting) -> Array:
+    """Return the columns of a delay on each axis: the axes are read one after the other, or filtered unequally."""
+    return -np.eye(3)[:, :, None] * s.need("field_rate")
 
 
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
@@ -176,7 +108,7 @@ def _g_sensitivity(s: Signals, setting: Setting) -> Array:
 
 def _field_gradient(s: Signals, setting: Setting) -> Array:
     """Return the columns of those rows of the channel that have references in the setting; without any, of all rows."""
-    columns: Array = _beyond_reference(s.need("position"), setting)[:, None] * s.need("field")
+    columns: Array = changes.beyond_reference(s.need("position"), setting)[:, None] * s.need("field")
     return columns
 
 
@@ -266,16 +198,24 @@ def _tone(s: Signals, setting: Setting) -> Array:
 EARLIER = MappingProxyType({"saturation": "knee", "hysteresis": "width"})
 FORMS: Mapping[str, Form] = MappingProxyType(
     {
-        "motor-current": Form("magnetometer", ("current",), _motor_current),
-        "temperature-hard-iron": Form("magnetometer", ("time", "temperature"), _temperature),
-        "hard-iron-step": Form("magnetometer", ("time",), _step),
-        "hard-iron-drift": Form("magnetometer", ("time",), _drift),
+        "motor-current": Form("magnetometer", ("current",), changes.motor_current),
+        "temperature-hard-iron": Form("magnetometer", ("time", "temperature"), changes.temperature),
+        "temperature-gain": Form(
+            "magnetometer", ("time", "temperature", "field", "hard_iron"), changes.temperature_gain
+        ),
+        "current-squared": Form("magnetometer", ("time", "current"), changes.current_squared),
+        "load-soft-iron": Form("magnetometer", ("current", "field"), changes.load_soft_iron),
+        "soft-iron-step": Form("magnetometer", ("time", "field"), changes.soft_iron_step),
+        "hard-iron-step": Form("magnetometer", ("time",), changes.step),
+        "hard-iron-drift": Form("magnetometer", ("time",), changes.drift),
         "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
         "timing": Form("magnetometer", ("field_rate",), _timing),
+        "axis-delays": Form("magnetometer", ("field_rate",), _axis_delays),
         "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
         "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),
         "gyro-quadratic": Form("gyroscope", ("rate",), _gyro_quadratic),
-        "temperature-gyro": Form("gyroscope", ("time", "temperature"), _temperature),
+        "temperature-gyro": Form("gyroscope", ("time", "temperature"), changes.temperature),
+        "gyro-bias-step": Form("gyroscope", ("time",), changes.step),
         "g-sensitivity": Form("gyroscope", ("acceleration",), _g_sensitivity),
         "field-gradient": Form("magnetometer", ("position", "field"), _field_gradient),
         "local-anomaly": Form("magnetometer", ("time", "to_sensor"), _local_anomaly),

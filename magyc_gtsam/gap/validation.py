@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
@@ -35,7 +35,7 @@ _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
 # Terms that belong to the time or place of one recording do not apply to another.
-_OF_ONE_RECORDING = ("hard-iron-step", "hard-iron-drift", "local-anomaly", "tone")
+_OF_ONE_RECORDING = (*MOMENTS, "tone")
 
 
 def agreement(recording: Recording, *calibrations: Calibration) -> tuple[Metrics, ...]:

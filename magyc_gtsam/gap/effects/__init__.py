@@ -6,22 +6,28 @@ are tested there. `NAMES` lists all effects in the catalogue's order.
 
 from __future__ import annotations
 
-from magyc_gtsam.gap.effects import alignment, gyroscope, iron, response, world
+from magyc_gtsam.gap.effects import alignment, gyroscope, iron, response, soft_iron, world
 from magyc_gtsam.gap.effects.term import EffectTerm
 
 TERMS: dict[str, EffectTerm] = {
     term.name: term
     for term in (
         iron.MOTOR_CURRENT,
+        iron.SQUARED,
         iron.TEMPERATURE,
         iron.STEP,
         iron.DRIFT,
+        soft_iron.TEMPERATURE_GAIN,
+        soft_iron.LOAD,
+        soft_iron.STEP,
         alignment.MISALIGNMENT,
         alignment.TIMING,
+        alignment.AXIS_DELAYS,
         alignment.EDDY_PLANE,
         gyroscope.SCALE,
         gyroscope.QUADRATIC,
         gyroscope.TEMPERATURE,
+        gyroscope.BIAS_STEP,
         gyroscope.G_SENSITIVITY,
         world.GRADIENT,
         world.ANOMALY,
@@ -41,6 +47,7 @@ LABELS: dict[str, str] = {name: term.label for name, term in TERMS.items()} | {
 }
 
 NAMES: tuple[str, ...] = tuple(LABELS)
-MOMENTS = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # functions of time alone, at times of one log
+# Functions of time alone, at times of one log.
+MOMENTS = ("hard-iron-step", "soft-iron-step", "gyro-bias-step", "hard-iron-drift", "local-anomaly")
 
 __all__ = ["LABELS", "MOMENTS", "NAMES", "TERMS", "EffectTerm"]

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import RATE_MATRIX, Setting
-from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.factors.effects.changes import Setting
+from magyc_gtsam.factors.effects.forms import RATE_MATRIX
+from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby, step_nearby, step_times
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 
+_STEPS = 40  # times at which a step is tried
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
 
 
@@ -40,6 +42,15 @@ def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
     by = vector(value, sigma)
     behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
     return f"the gyroscope's bias depends on temperature, by {by} mrad/s per unit of the channel{behind}"
+
+
+def _times(twin: Twin) -> list[dict[str, float]]:
+    return step_times(twin, _STEPS)
+
+
+def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
+    when = measured(setting["time"], setting.get("time_sigma", 0.05))
+    return f"the gyroscope's bias jumped by {vector(value, sigma)} mrad/s at {when} s"
 
 
 def _say_g(value: Array, sigma: Array, setting: Setting) -> str:
@@ -80,13 +91,29 @@ TEMPERATURE = EffectTerm(
     scale=1e3,
     matters=1e-3,
     prior=1.0,
-    rivals=("temperature-hard-iron",),
+    rivals=("temperature-hard-iron", "gyro-bias-step"),
     parameters=AXES,
     say=_say_temperature,
     motion="let the temperature rise and fall during the recording",
     settings=lagged,
     refined=lagged_nearby,
     products=("rate",),
+)
+# A shock, a change of the supply or of the range, or a filter that starts anew moves a gyroscope's zero. The bias is
+# constant before and after. It is confused with a bias that warms, where the temperature jumps as well.
+BIAS_STEP = EffectTerm(
+    name="gyro-bias-step",
+    label="jump of the gyroscope's bias",
+    unit="mrad/s",
+    scale=1e3,
+    matters=1e-3,
+    prior=1.0,
+    rivals=("temperature-gyro",),
+    parameters=AXES,
+    say=_say_step,
+    motion="rest for some seconds before and after the moment in question",
+    settings=_times,
+    refined=step_nearby,
 )
 G_SENSITIVITY = EffectTerm(
     name="g-sensitivity",

@@ -8,13 +8,14 @@ from itertools import combinations, islice
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import Setting
+from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 _STEPS = 100  # times at which a step is tried
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s, lags of the sensor's temperature behind the thermometer
+_CIRCUIT_LAGS = (0.3, 1.0, 3.0)  # s, of a field behind the current: housings, a filtered current
 _ENDS = 16  # times at which a magnetic object may be attached or removed
 _MARGIN = 4  # windows at both ends where a step cannot be distinguished from noise
 
@@ -29,8 +30,8 @@ def references(twin: Twin, kind: str) -> dict[str, float]:
     return {f"reference_{i}": float(row.mean()) for i, row in _moving(twin, kind).items()}
 
 
-def _circuits(twin: Twin) -> list[dict[str, float]]:
-    """Return the settings of all currents that change. A channel that is never near 0, such as raw counts, is taken
+def circuits(twin: Twin) -> list[dict[str, float]]:
+    """Return the setting of all currents that change. A channel that is never near 0, such as raw counts, is taken
     relative to its mean."""
     moving = _moving(twin, "current")
     offset = {
@@ -39,6 +40,11 @@ def _circuits(twin: Twin) -> list[dict[str, float]]:
     if not offset and len(moving) == len(twin.windows.channels["current"]):
         return [{}]
     return [{f"reference_{i}": offset.get(i, 0.0) for i in moving}]
+
+
+def lagging_circuits(twin: Twin) -> list[dict[str, float]]:
+    """Return the setting of all currents that change, without and with a lag."""
+    return [at | lag for at in circuits(twin) for lag in ({}, *({"lag": lag} for lag in _CIRCUIT_LAGS))]
 
 
 def lagged(twin: Twin) -> list[dict[str, float]]:
@@ -58,15 +64,21 @@ def _edges(twin: Twin, count: int) -> Array:
     return edges[np.unique(np.linspace(0, len(edges) - 1, min(count, len(edges))).astype(int))]
 
 
-def _step_times(twin: Twin) -> list[dict[str, float]]:
+def step_times(twin: Twin, count: int) -> list[dict[str, float]]:
+    """Return single steps at up to `count` times."""
+    return [{"time": float(t)} for t in _edges(twin, count)]
+
+
+def _jumps(twin: Twin) -> list[dict[str, float]]:
     """Return single steps, and pairs of opposite steps of an object that is attached and removed again."""
-    single = [{"time": float(t)} for t in _edges(twin, _STEPS)]
+    single = step_times(twin, _STEPS)
     coarse = _edges(twin, _ENDS)
     shortest = 1.5 * (coarse[-1] - coarse[0]) / _ENDS  # an object that stays for less was passed, not attached
     return single + [{"time": float(a), "until": float(b)} for a, b in combinations(coarse, 2) if b - a > shortest]
 
 
-def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+def step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    """Return steps at every time near the found one."""
     edges = _edges(twin, twin.n)
     width = 1.1 * (edges[-1] - edges[0]) / min(_ENDS if "until" in setting else _STEPS, len(edges))
     result = [dict(setting)]
@@ -80,9 +92,9 @@ def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 def irregular_drifts(twin: Twin) -> Iterator[dict[str, float]]:
     """Yield the settings of the slow part of a random walk, from few modes to as many as its shortest period allows."""
     start, end = float(twin.time[0]), float(twin.time[-1])
-    most, order = int(2 * (end - start) / RULES.drift_period), RULES.drift_modes
-    while order < RULES.drift_finer * most:
-        yield {"order": float(min(order, most)), "start": start, "end": end}
+    order = RULES.drift_modes
+    while order * RULES.drift_period <= 2 * (end - start):
+        yield {"order": float(order), "start": start, "end": end}
         order *= RULES.drift_finer
 
 
@@ -94,7 +106,13 @@ def _drifts(twin: Twin) -> list[dict[str, float]]:
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
     strength = np.linalg.norm(value)
-    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value, sigma)} µT"
+    behind = f", {setting['lag']:.1f} s behind it" if setting.get("lag") else ""
+    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value, sigma)} µT{behind}"
+
+
+def _say_squared(value: Array, sigma: Array, setting: Setting) -> str:
+    behind = f", {setting['lag']:.1f} s behind it" if setting.get("lag") else ""
+    return f"the square of a current adds {vector(value, sigma)} µT per unit of the channel squared{behind}"
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
@@ -123,12 +141,25 @@ MOTOR_CURRENT = EffectTerm(
     scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
-    rivals=("hard-iron-step", "hard-iron-drift"),
+    rivals=("hard-iron-step", "hard-iron-drift", "current-squared", "load-soft-iron"),
     parameters=AXES,
     say=_say_current,
     motion="switch the load on and off several times at rest and under way, not in step with the turns",
-    settings=_circuits,
-    products=("reading", "gain", "field"),
+    settings=lagging_circuits,
+    products=("reading", "gain"),
+)
+SQUARED = EffectTerm(
+    name="current-squared",
+    label="magnetic field of a current's square",
+    unit="µT per unit²",
+    scale=1e6,
+    matters=0.3e-6,
+    prior=1e-3,
+    rivals=("motor-current", "hard-iron-step"),
+    parameters=AXES,
+    say=_say_squared,
+    motion="run the load at several powers, not in step with the turns",
+    settings=lagging_circuits,
 )
 TEMPERATURE = EffectTerm(
     name="temperature-hard-iron",
@@ -137,13 +168,13 @@ TEMPERATURE = EffectTerm(
     scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
-    rivals=("hard-iron-drift", "hard-iron-step"),
+    rivals=("hard-iron-drift", "hard-iron-step", "temperature-gain"),
     parameters=AXES,
     say=_say_temperature,
     motion="let the temperature rise and fall during the recording, so that it does not merely follow time",
     settings=lagged,
     refined=lagged_nearby,
-    products=("reading", "gain", "field"),
+    products=("gain", "field"),
 )
 STEP = EffectTerm(
     name="hard-iron-step",
@@ -152,14 +183,14 @@ STEP = EffectTerm(
     scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
-    rivals=("hard-iron-drift", "temperature-hard-iron", "motor-current", "local-anomaly"),
+    rivals=("hard-iron-drift", "temperature-hard-iron", "motor-current", "local-anomaly", "soft-iron-step"),
     parameters=AXES,
     say=_say_step,
     motion="turn a full circle before and after the moment in question, at the same place",
-    settings=_step_times,
-    refined=_step_nearby,
+    settings=_jumps,
+    refined=step_nearby,
     most=4,
-    products=("reading", "gain", "field"),
+    products=("reading", "gain"),
 )
 DRIFT = EffectTerm(
     name="hard-iron-drift",

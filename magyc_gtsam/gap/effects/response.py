@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import Setting
+from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.alignment import directions, directions_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.model.twin import Twin

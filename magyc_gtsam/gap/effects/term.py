@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import FORMS, Form, Setting, referenced
+from magyc_gtsam.factors.effects.changes import Setting, referenced
+from magyc_gtsam.factors.effects.forms import FORMS, Form
 from magyc_gtsam.factors.effects.signals import CHANNELS, Signals, rows_by_kind
 from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.rules import RULES

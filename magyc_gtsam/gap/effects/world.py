@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import Setting
+from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.iron import references
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured
 from magyc_gtsam.gap.model.twin import Twin

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import Setting, per_axis
+from magyc_gtsam.factors.effects.changes import Setting, per_axis
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.iron import irregular_drifts
 from magyc_gtsam.gap.evidence.generic import Family, families

@@ -15,7 +15,8 @@ from types import MappingProxyType
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.changes import Setting
+from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.generic import Family

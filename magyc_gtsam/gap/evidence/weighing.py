@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import Setting
+from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import LEAST, Beside, Seen
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates

@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.factors.effects.forms import per_axis
+from magyc_gtsam.factors.effects.changes import per_axis
 from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.rules import RULES

@@ -14,7 +14,8 @@ from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.changes import Setting
+from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording

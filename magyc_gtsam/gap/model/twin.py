@@ -23,7 +23,8 @@ from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
 from magyc_gtsam.factors.chain.rate_columns import turned_by
 from magyc_gtsam.factors.chain.rotations import Array, cross, skew
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.changes import Setting
+from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.model.model_chain import build, window_signals
 from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem

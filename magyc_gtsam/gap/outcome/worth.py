@@ -9,15 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.outcome.held_out import held_out_gain, interleaved
 from magyc_gtsam.gap.rules import RULES
-
-_OF_ITS_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # one half does not predict the other
 
 
 def pays(with_it: Refit, without: Refit, index: int, variation: FieldVariation) -> bool:
@@ -46,7 +44,7 @@ def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[fl
     residual = variation.whiten((twin.residual().ravel() - value @ rows[own])[None])
     # Other terms at a time of their own are held to the whole recording: one half may contain nothing of them.
     terms = [active for active in twin.model.estimated for _ in active.value]
-    local = np.array([False] * int(twin.model.free.sum()) + [term.name in _OF_ITS_TIME for term in terms])
+    local = np.array([False] * int(twin.model.free.sum()) + [term.name in MOMENTS for term in terms])
     local[own] = False
     others = np.delete(np.arange(len(rows)), own)
     beside = Projector(variation.whiten(rows[local]))
@@ -55,7 +53,7 @@ def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[fl
     term, duration = twin.model.terms[index], float(twin.time[-1] - twin.time[0])
     length = min(TERMS[term.name].block(term.setting), duration / RULES.blocks)
     in_turn = held_out_gain(base, columns, residual, interleaved(twin.time, length))
-    if term.name in _OF_ITS_TIME:
+    if term.name in MOMENTS:  # one half does not predict the other
         return in_turn, in_turn
     return in_turn, held_out_gain(base, columns, residual, interleaved(twin.time, 0.5001 * duration))
 

@@ -1,4 +1,4 @@
-"""Effects on the field before the sensor: the place, objects passed, plates, and the mounting."""
+"""Effects on the field before the sensor: the place, objects passed, plates, steel, and the mounting."""
 
 from __future__ import annotations
 
@@ -46,6 +46,22 @@ def _eddy_plane(field: Array, scene: Scene, size: float, random: np.random.Gener
     return field - size * lagged(change, scene.step, 0.03)[:, None] * way, {"normal": normal}
 
 
+def _load(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Let the supply's current change the permeability of a core beside the sensor."""
+    core = direction(random)
+    matrix = size * (np.outer(core, core) - 0.3 * np.eye(3))
+    current = standardised(lagged(scene.environment.current, scene.step, 0.05))
+    return field + current[:, None] * (field @ matrix), {"matrix": matrix}
+
+
+def _soft_step(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Bring a steel rod near the sensor within half a second, of which the field magnetises the length most."""
+    rod, at = direction(random), scene.time[0] + random.uniform(0.25, 0.75) * (scene.time[-1] - scene.time[0])
+    matrix = size * (np.outer(rod, rod) - 0.2 * np.eye(3))
+    there = 0.5 * (1 + np.tanh((scene.time - at) / 0.2))
+    return field + there[:, None] * (field @ matrix), {"matrix": matrix, "time": float(at)}
+
+
 def _misalignment(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Rotate the magnetometer relative to the gyroscope."""
     turned = size * direction(random)
@@ -56,5 +72,7 @@ EFFECTS = {
     "field-gradient": SimulatedEffect(Stage.WORLD, _gradient, ("depth",), attitude=True),
     "local-anomaly": SimulatedEffect(Stage.WORLD, _anomaly, attitude=True),
     "eddy-plane": SimulatedEffect(Stage.BODY, _eddy_plane),
+    "load-soft-iron": SimulatedEffect(Stage.BODY, _load, ("current",)),
+    "soft-iron-step": SimulatedEffect(Stage.BODY, _soft_step),
     "misalignment": SimulatedEffect(Stage.BODY, _misalignment),
 }

@@ -64,13 +64,6 @@ def _vibration(rate: Array, scene: Scene, size: float, random: np.random.Generat
     return rate + size * shaken[:, None] * way, {"direction": way}
 
 
-def _sensitivity(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Let the sensitivity of each axis change with temperature."""
-    share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
-    warm = standardised(lagged(scene.environment.temperature, scene.step, 15.0))
-    return field * (1 + size * warm[:, None] * share), {"share": share}
-
-
 EFFECTS = {
     "servo-magnet": SimulatedEffect(Stage.IRON, _servo, attitude=True),
     "loose-magnet": SimulatedEffect(Stage.IRON, _loose, attitude=True),
@@ -78,5 +71,4 @@ EFFECTS = {
     "rate-product": SimulatedEffect(Stage.GYROSCOPE, _rate_product),
     "deadband-lag": SimulatedEffect(Stage.BODY, _deadband),
     "vibration-bias": SimulatedEffect(Stage.GYROSCOPE, _vibration, ("current",)),
-    "sensitivity-temperature": SimulatedEffect(Stage.ELECTRONICS, _sensitivity, ("temperature",)),
 }

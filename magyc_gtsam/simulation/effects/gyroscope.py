@@ -34,6 +34,14 @@ def _temperature(rate: Array, scene: Scene, size: float, random: np.random.Gener
     return rate + size * warm[:, None] * way, {"direction": way}
 
 
+def _bias_step(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Let the zero jump, as after a shock, and creep for the last tenth of the way."""
+    way, at = direction(random), scene.time[0] + random.uniform(0.25, 0.75) * (scene.time[-1] - scene.time[0])
+    since = np.clip(scene.time - at, 0.0, None)
+    moved = (since > 0) * (1 - 0.1 * np.exp(-since / 2.0))
+    return rate + size * moved[:, None] * way, {"direction": way, "time": float(at)}
+
+
 def _acceleration(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Add a bias proportional to the specific force, which bends the proof mass."""
     matrix = random.standard_normal((3, 3))
@@ -47,5 +55,6 @@ EFFECTS = {
     "gyro-scale": SimulatedEffect(Stage.GYROSCOPE, _scale),
     "gyro-quadratic": SimulatedEffect(Stage.GYROSCOPE, _quadratic),
     "temperature-gyro": SimulatedEffect(Stage.GYROSCOPE, _temperature, ("temperature",)),
+    "gyro-bias-step": SimulatedEffect(Stage.GYROSCOPE, _bias_step),
     "g-sensitivity": SimulatedEffect(Stage.GYROSCOPE, _acceleration, ("acceleration",), attitude=True),
 }

@@ -20,6 +20,13 @@ def _motor_current(field: Array, scene: Scene, size: float, random: np.random.Ge
     return field + size * standardised(current)[:, None] * way, {"direction": way}
 
 
+def _squared(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Add a field with the square of the supply's current, as of a converter that works half of each period."""
+    way = direction(random)
+    power = standardised(lagged(scene.environment.current**2, scene.step, 0.1))
+    return field + size * power[:, None] * way, {"direction": way}
+
+
 def _temperature(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Add a magnet that changes with temperature, 25 s behind the thermometer and slightly more than in proportion."""
     way = direction(random)
@@ -66,6 +73,7 @@ def _hysteresis(field: Array, scene: Scene, size: float, random: np.random.Gener
 
 EFFECTS = {
     "motor-current": SimulatedEffect(Stage.IRON, _motor_current, ("current",)),
+    "current-squared": SimulatedEffect(Stage.IRON, _squared, ("current",)),
     "temperature-hard-iron": SimulatedEffect(Stage.IRON, _temperature, ("temperature",)),
     "hard-iron-step": SimulatedEffect(Stage.IRON, _step),
     "hard-iron-drift": SimulatedEffect(Stage.IRON, _drift),

@@ -44,6 +44,17 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         "a cable a hand's breadth from the sensor",
         (0.16 * MILLIGAUSS, 0.16 * MILLIGAUSS),
     ),
+    "current-squared": Strength(
+        3.0 * MILLIGAUSS,
+        "T per σ of the current's square",
+        "3 mG per σ of the square",
+        "a converter near the sensor",
+    ),
+    "load-soft-iron": Strength(8e-3, "1 per σ of the current", "0.8 % per σ of the current", "a motor's core"),
+    "soft-iron-step": Strength(20e-3, "1", "2 % along a rod", "a tool or an anchor stowed near the sensor"),
+    "temperature-gain": Strength(
+        4e-3, "1 per σ of the temperature", "0.4 % per σ of the temperature", "an uncompensated sensor"
+    ),
     "temperature-hard-iron": Strength(
         4.0 * MILLIGAUSS,
         "T per σ of the temperature",
@@ -68,6 +79,9 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         45 * _MRAD, "rad", "2.6°", "chips on two boards; twelve on the moderate motion", (0.9 * _MRAD, 3.9 * _MRAD)
     ),
     "timing": Strength(40 * _MS, "s", "40 ms", "phones are late by 20 to 60 ms", (3.2 * _MS, 2.2 * _MS)),
+    "axis-delays": Strength(
+        80 * _MS, "s, between the first axis and the last", "80 ms", "a multiplexed converter with a slow filter"
+    ),
     "eddy-plane": Strength(60 * _MS, "s", "60 ms", "a thick aluminium deck; sixteen", (3.8 * _MS, 3.8 * _MS)),
     "gyro-scale": Strength(
         20e-3, "1", "2 %", "the data sheets of consumer gyroscopes allow 3 %", (0.7e-3, 1.4e-3)
@@ -80,6 +94,7 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         "0.02 °/s/°C; sixteen",
         (0.1 * _MRAD, 0.1 * _MRAD),
     ),
+    "gyro-bias-step": Strength(3 * _MRAD, "rad/s", "3 mrad/s", "0.2 °/s, of a consumer part after a shock"),
     "g-sensitivity": Strength(
         7 * _MRAD,
         "rad/s per g",
@@ -129,9 +144,6 @@ FOREIGN_STRENGTHS: dict[str, Strength] = {
         "rad/s per σ",
         "2 mrad/s per σ of the current's square",
         "a gyroscope that rectifies vibration",
-    ),
-    "sensitivity-temperature": Strength(
-        4e-3, "1 per σ of the temperature", "0.4 % per σ", "an uncompensated sensor"
     ),
 }
 

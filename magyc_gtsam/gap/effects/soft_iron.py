@@ -1,0 +1,82 @@
+"""Gain and soft iron that change: with temperature, with a current, or in a step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.changes import Setting
+from magyc_gtsam.gap.effects.iron import circuits, lagged, lagged_nearby, step_nearby, step_times
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.model.twin import Twin
+
+_STEPS = 40  # times at which a step is tried; each has six values
+SYMMETRIC = ("xx", "xy", "xz", "yy", "yz", "zz")
+
+
+def _times(twin: Twin) -> list[dict[str, float]]:
+    return step_times(twin, _STEPS)
+
+
+def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
+    behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
+    return f"the magnetometer's gain depends on temperature, by {vector(value, sigma)} % per unit of it{behind}"
+
+
+def _say_load(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"a load changes the soft iron by up to {np.abs(value).max():.2g} % per unit of the current channel"
+
+
+def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
+    when = measured(setting["time"], setting.get("time_sigma", 0.05))
+    return f"the soft iron changed by up to {np.abs(value).max():.2g} % at {when} s: steel was added, moved or removed"
+
+
+# The sensitivity of a coil, a core or a bridge depends on its temperature, by 0.02 to 0.3 % per kelvin without
+# compensation. It multiplies all that the sensor reads, also the field of the hard iron. A hard iron that depends on
+# temperature has the same mean over a full turn, and is confused with it where the hard iron is large.
+TEMPERATURE_GAIN = EffectTerm(
+    name="temperature-gain",
+    label="magnetometer gain that depends on temperature",
+    unit="% per unit",
+    scale=1e2,
+    matters=6e-3,
+    prior=1.0,
+    rivals=("temperature-hard-iron",),
+    parameters=AXES,
+    say=_say_gain,
+    motion="let the temperature rise and fall during the recording, while turning over",
+    settings=lagged,
+    refined=lagged_nearby,
+)
+# The current through a winding on an iron core moves the core along its magnetisation curve. The core's permeability
+# changes, and with it the field that it concentrates near the sensor. It is confused with the current's own field.
+LOAD = EffectTerm(
+    name="load-soft-iron",
+    label="soft iron that depends on a current",
+    unit="% per unit",
+    scale=1e2,
+    matters=6e-3,
+    prior=1.0,
+    rivals=("motor-current",),
+    parameters=SYMMETRIC,
+    say=_say_load,
+    motion="run the load at several powers on every heading",
+    settings=circuits,
+)
+# A piece of steel without remanence concentrates the field and adds what depends on heading. Where it is brought near,
+# moved or taken off, the soft iron changes at once. It is confused with a jump of the hard iron on few headings.
+STEP = EffectTerm(
+    name="soft-iron-step",
+    label="jump of the soft iron",
+    unit="%",
+    scale=1e2,
+    matters=6e-3,
+    prior=1.0,
+    rivals=("hard-iron-step",),
+    parameters=SYMMETRIC,
+    say=_say_step,
+    motion="turn a full circle before and after the moment in question, at the same place",
+    settings=_times,
+    refined=step_nearby,
+)
