@@ -58,11 +58,6 @@ def _timing(s: Signals, setting: Setting) -> Array:
     return -s.need("field_rate")[None]
 
 
-def _axis_delays(s: Signals, setting: Setting) -> Array:
-    """Return the columns of a delay on each axis: the axes are read one after the other, or filtered unequally."""
-    return -np.eye(3)[:, :, None] * s.need("field_rate")
-
-
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
     """Return the columns of eddy currents E = value normalᵀ.
 
@@ -210,12 +205,12 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "hard-iron-drift": Form("magnetometer", ("time",), changes.drift),
         "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
         "timing": Form("magnetometer", ("field_rate",), _timing),
-        "axis-delays": Form("magnetometer", ("field_rate",), _axis_delays),
         "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
         "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),
         "gyro-quadratic": Form("gyroscope", ("rate",), _gyro_quadratic),
         "temperature-gyro": Form("gyroscope", ("time", "temperature"), changes.temperature),
         "gyro-bias-step": Form("gyroscope", ("time",), changes.step),
+        "gyro-bias-drift": Form("gyroscope", ("time",), changes.drift),
         "g-sensitivity": Form("gyroscope", ("acceleration",), _g_sensitivity),
         "field-gradient": Form("magnetometer", ("position", "field"), _field_gradient),
         "local-anomaly": Form("magnetometer", ("time", "to_sensor"), _local_anomaly),

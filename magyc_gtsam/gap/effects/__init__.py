@@ -22,12 +22,12 @@ TERMS: dict[str, EffectTerm] = {
         soft_iron.STEP,
         alignment.MISALIGNMENT,
         alignment.TIMING,
-        alignment.AXIS_DELAYS,
         alignment.EDDY_PLANE,
         gyroscope.SCALE,
         gyroscope.QUADRATIC,
         gyroscope.TEMPERATURE,
         gyroscope.BIAS_STEP,
+        gyroscope.BIAS_DRIFT,
         gyroscope.G_SENSITIVITY,
         world.GRADIENT,
         world.ANOMALY,
@@ -48,6 +48,13 @@ LABELS: dict[str, str] = {name: term.label for name, term in TERMS.items()} | {
 
 NAMES: tuple[str, ...] = tuple(LABELS)
 # Functions of time alone, at times of one log.
-MOMENTS = ("hard-iron-step", "soft-iron-step", "gyro-bias-step", "hard-iron-drift", "local-anomaly")
+MOMENTS = (
+    "hard-iron-step",
+    "soft-iron-step",
+    "gyro-bias-step",
+    "gyro-bias-drift",
+    "hard-iron-drift",
+    "local-anomaly",
+)
 
 __all__ = ["LABELS", "MOMENTS", "NAMES", "TERMS", "EffectTerm"]

@@ -53,10 +53,6 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
     return f"the magnetometer {late} the gyroscope by {measured(abs(value[0]), sigma[0])} ms"
 
 
-def _say_delays(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the magnetometer's axes lag the gyroscope by {vector(value, sigma)} ms on x, y, z"
-
-
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
     if "x" not in setting:
         most = float(np.abs(value).max())
@@ -88,26 +84,11 @@ TIMING = EffectTerm(
     scale=1e3,
     matters=5e-3,
     prior=1.0,
-    rivals=("hysteresis", "g-sensitivity", "eddy-plane", "axis-delays"),
+    rivals=("hysteresis", "g-sensitivity", "eddy-plane"),
     parameters=("delay",),
     say=_say_timing,
     motion="turn fast one way and the other, about more than one axis",
     products=("speed", "speed²"),
-)
-# A magnetometer that measures its axes one after the other, or filters them unequally, delays each by a time of its
-# own. In a turn each axis is then behind by its delay times its rate of change. It is confused with one delay of all
-# axes, which is a special case, and with eddy currents, which also mix the axes.
-AXIS_DELAYS = EffectTerm(
-    name="axis-delays",
-    label="unequal delays of the magnetometer's axes",
-    unit="ms",
-    scale=1e3,
-    matters=5e-3,
-    prior=1.0,
-    rivals=("timing", "eddy-plane"),
-    parameters=AXES,
-    say=_say_delays,
-    motion="turn fast one way and the other, about more than one axis",
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
@@ -116,7 +97,7 @@ EDDY_PLANE = EffectTerm(
     scale=1e3,
     matters=8e-3,
     prior=1.0,
-    rivals=("timing", "hysteresis", "axis-delays"),
+    rivals=("timing", "hysteresis"),
     parameters=AXES,
     say=_say_eddy,
     motion="turn fast about all three axes, not about the vertical only",

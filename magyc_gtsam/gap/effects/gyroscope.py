@@ -12,6 +12,7 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 
 _STEPS = 40  # times at which a step is tried
+_MODES = (0.0, 2.0, 4.0)  # of a drift: a straight line, or cosines
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
 
 
@@ -53,6 +54,18 @@ def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
     return f"the gyroscope's bias jumped by {vector(value, sigma)} mrad/s at {when} s"
 
 
+def _drifts(twin: Twin) -> list[dict[str, float]]:
+    start, end = float(twin.time[0]), float(twin.time[-1])
+    return [{"order": order, "start": start, "end": end} for order in _MODES]
+
+
+def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
+    if setting["order"] == 0:
+        return f"the gyroscope's bias drifted by {vector(value, sigma)} mrad/s over the recording"
+    spread = np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2)
+    return f"the gyroscope's bias drifted, by {vector(spread)} mrad/s (standard deviation) over the recording"
+
+
 def _say_g(value: Array, sigma: Array, setting: Setting) -> str:
     return f"the gyroscope's bias depends on acceleration: up to {np.abs(value).max():.2g} mrad/s per g"
 
@@ -91,7 +104,7 @@ TEMPERATURE = EffectTerm(
     scale=1e3,
     matters=1e-3,
     prior=1.0,
-    rivals=("temperature-hard-iron", "gyro-bias-step"),
+    rivals=("temperature-hard-iron", "gyro-bias-step", "gyro-bias-drift"),
     parameters=AXES,
     say=_say_temperature,
     motion="let the temperature rise and fall during the recording",
@@ -108,12 +121,27 @@ BIAS_STEP = EffectTerm(
     scale=1e3,
     matters=1e-3,
     prior=1.0,
-    rivals=("temperature-gyro",),
+    rivals=("temperature-gyro", "gyro-bias-drift"),
     parameters=AXES,
     say=_say_step,
     motion="rest for some seconds before and after the moment in question",
     settings=_times,
     refined=step_nearby,
+)
+# A gyroscope's zero wanders with its supply, its age and its warmth, over minutes. Without a thermometer it is what
+# remains of a bias that warms; a jump is confused with it.
+BIAS_DRIFT = EffectTerm(
+    name="gyro-bias-drift",
+    label="slow drift of the gyroscope's bias",
+    unit="mrad/s",
+    scale=1e3,
+    matters=1e-3,
+    prior=1.0,
+    rivals=("temperature-gyro", "gyro-bias-step"),
+    parameters=AXES,
+    say=_say_drift,
+    motion="rest for some seconds now and then, and log the temperature",
+    settings=_drifts,
 )
 G_SENSITIVITY = EffectTerm(
     name="g-sensitivity",

@@ -42,6 +42,13 @@ def _bias_step(rate: Array, scene: Scene, size: float, random: np.random.Generat
     return rate + size * moved[:, None] * way, {"direction": way, "time": float(at)}
 
 
+def _drift(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Let the zero approach its final value from switching on, in a third of the recording."""
+    way, since = direction(random), scene.time - scene.time[0]
+    left = np.exp(-3 * since / since[-1])
+    return rate + size * ((left - left.mean()) / left.std())[:, None] * way, {"direction": way}
+
+
 def _acceleration(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Add a bias proportional to the specific force, which bends the proof mass."""
     matrix = random.standard_normal((3, 3))
@@ -56,5 +63,6 @@ EFFECTS = {
     "gyro-quadratic": SimulatedEffect(Stage.GYROSCOPE, _quadratic),
     "temperature-gyro": SimulatedEffect(Stage.GYROSCOPE, _temperature, ("temperature",)),
     "gyro-bias-step": SimulatedEffect(Stage.GYROSCOPE, _bias_step),
+    "gyro-bias-drift": SimulatedEffect(Stage.GYROSCOPE, _drift),
     "g-sensitivity": SimulatedEffect(Stage.GYROSCOPE, _acceleration, ("acceleration",), attitude=True),
 }

@@ -79,9 +79,6 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         45 * _MRAD, "rad", "2.6°", "chips on two boards; twelve on the moderate motion", (0.9 * _MRAD, 3.9 * _MRAD)
     ),
     "timing": Strength(40 * _MS, "s", "40 ms", "phones are late by 20 to 60 ms", (3.2 * _MS, 2.2 * _MS)),
-    "axis-delays": Strength(
-        80 * _MS, "s, between the first axis and the last", "80 ms", "a multiplexed converter with a slow filter"
-    ),
     "eddy-plane": Strength(60 * _MS, "s", "60 ms", "a thick aluminium deck; sixteen", (3.8 * _MS, 3.8 * _MS)),
     "gyro-scale": Strength(
         20e-3, "1", "2 %", "the data sheets of consumer gyroscopes allow 3 %", (0.7e-3, 1.4e-3)
@@ -95,6 +92,9 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         (0.1 * _MRAD, 0.1 * _MRAD),
     ),
     "gyro-bias-step": Strength(3 * _MRAD, "rad/s", "3 mrad/s", "0.2 °/s, of a consumer part after a shock"),
+    "gyro-bias-drift": Strength(
+        1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that warms for minutes"
+    ),
     "g-sensitivity": Strength(
         7 * _MRAD,
         "rad/s per g",
@@ -134,6 +134,9 @@ NAMED_STRENGTHS: dict[str, Strength] = {
 }
 
 FOREIGN_STRENGTHS: dict[str, Strength] = {
+    "axis-delays": Strength(
+        80 * _MS, "s, between the first axis and the last", "80 ms", "a multiplexed converter with a slow filter"
+    ),
     "servo-magnet": Strength(8 * MILLIGAUSS, "T", "8 mG", "the magnet of a panning camera, with end stops"),
     "loose-magnet": Strength(6 * MILLIGAUSS, "T", "6 mG", "a battery that rolls from side to side"),
     "axis-product": Strength(18 * MILLIGAUSS, "T at 500 mG", "18 mG at 500 mG", "cross-axis effect of a core"),
