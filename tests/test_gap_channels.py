@@ -12,11 +12,20 @@ from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.outcome.corrected import unmoved
+from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.recording import Array
 from magyc_gtsam.recording.checks import no_values
 from magyc_gtsam.simulation.environment import CHANNELS
 
-TERMS_OF_CHANNELS = ["motor-current", "temperature-hard-iron", "temperature-gyro", "field-gradient"]
+TERMS_OF_CHANNELS = [
+    "motor-current",
+    "current-squared",
+    "temperature-hard-iron",
+    "temperature-gain",
+    "load-soft-iron",
+    "temperature-gyro",
+    "field-gradient",
+]
 _DEPTH = "depth"
 
 
@@ -58,13 +67,27 @@ def test_what_was_passed_is_named_and_corrected_without_a_channel_that_it_resemb
         assert {"field-gradient", "temperature-gyro"} <= set(passed.ambiguous_with)
 
 
-@pytest.mark.parametrize("name", ["temperature-hard-iron", "temperature-gyro", "motor-current"])
+def _without_channels(name: str, motion: str) -> Gap:
+    hidden = Scenario("x", "single", motion, 2, ((name, 1.0),), (), 300.0)
+    return mg.find_gap(replace(generate(hidden).recording, channels={}))
+
+
+@pytest.mark.parametrize("name", ["temperature-hard-iron", "motor-current"])
 def test_what_a_missing_channel_did_changes_nothing(name: str) -> None:
     for motion in ("moderate", "multi"):
-        hidden = Scenario("x", "single", motion, 2, ((name, 1.0),), (), 300.0)
-        gap = mg.find_gap(replace(generate(hidden).recording, channels={}))
+        gap = _without_channels(name, motion)
         assert gap.verdict == "unknown"
         assert not gap.calibration.terms
+
+
+def test_a_bias_that_warms_without_a_thermometer_is_a_drift_that_may_be_that() -> None:
+    effects = [
+        effect
+        for motion in ("moderate", "multi")
+        for effect in _without_channels("temperature-gyro", motion).effects
+    ]
+    assert {effect.name for effect in effects} == {"gyro-bias-drift"}
+    assert all("temperature-gyro" in effect.ambiguous_with for effect in effects)
 
 
 def test_a_channel_that_agrees_by_chance_is_no_name() -> None:

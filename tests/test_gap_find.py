@@ -17,9 +17,24 @@ from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_words import assumption_rows
 from magyc_gtsam.simulation.environment import CHANNELS
 
+OF_A_CHANNEL = (
+    "motor-current",
+    "current-squared",
+    "temperature-hard-iron",
+    "temperature-gain",
+    "load-soft-iron",
+    "temperature-gyro",
+    "field-gradient",
+)
 CATALOGUE = [
     "motor-current",
+    "current-squared",
     "temperature-hard-iron",
+    "temperature-gain",
+    "load-soft-iron",
+    "soft-iron-step",
+    "gyro-bias-step",
+    "gyro-bias-drift",
     "hard-iron-step",
     "hard-iron-drift",
     "misalignment",
@@ -75,7 +90,7 @@ def test_silent_where_nothing_is_hidden() -> None:
     assert gap.calibration.terms == ()
     assert gap.after is gap.before
     missing = {u.name for u in gap.untested}
-    assert missing == {"motor-current", "temperature-hard-iron", "temperature-gyro", "field-gradient"}
+    assert missing == set(OF_A_CHANNEL)
     assert gap.before.open_loop.rms == pytest.approx(gap.before.open_loop.floor, rel=0.1)
     assert {h.status for h in gap.hypotheses} <= {"rejected", "not enough information", "possible"}
     for each in gap.hypotheses:
@@ -134,12 +149,7 @@ def test_two_steps_of_the_hard_iron_are_timed_and_sized() -> None:
     times = sorted(e.setting["time"] for e in gap.effects)
     np.testing.assert_allclose(times, [60.0, 130.0], atol=3.0)
     for effect in gap.effects:
-        assert effect.ambiguous_with == (
-            "motor-current",
-            "temperature-hard-iron",
-            "temperature-gyro",
-            "field-gradient",
-        )  # of which there is no channel
+        assert effect.ambiguous_with == OF_A_CHANNEL  # of which there is none
         sign = 1 if effect.setting["time"] < 100 else -1
         np.testing.assert_allclose(effect.value, sign * jump * 1e6, atol=5 * effect.sigma.max() + 0.1)
 

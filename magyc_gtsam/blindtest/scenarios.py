@@ -21,11 +21,15 @@ MOTIONS = ("wide", "moderate", "multi")
 # Groups of effects that are confused with each other by the table of effects; pairs of them do not test naming.
 RIVALS = (
     {"hard-iron-step", "hard-iron-drift", "temperature-hard-iron", "local-anomaly", "motor-current"},
+    {"temperature-hard-iron", "temperature-gain", "field-gradient"},
+    {"motor-current", "current-squared", "load-soft-iron"},
+    {"hard-iron-step", "soft-iron-step", "local-anomaly"},
     {"misalignment", "gyro-scale", "gyro-quadratic", "cubic", "saturation"},
     {"timing", "eddy-plane", "hysteresis", "sample-hold", "g-sensitivity", "field-gradient"},
     {"coloured-noise", "spikes", "tone", "quantisation", "sample-hold"},
     {"hard-iron-drift", "coloured-noise"},
     {"temperature-gyro", "g-sensitivity"},
+    {"temperature-gyro", "gyro-bias-step", "gyro-bias-drift"},
 )
 # Effects that a motion cannot show at the published strength, by the table of one-sigma sizes.
 INVISIBLE = {"moderate": ("g-sensitivity",)}

@@ -15,7 +15,7 @@ from magyc_gtsam.gap.rules import RULES
 
 _STEPS = 100  # times at which a step is tried
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s, lags of the sensor's temperature behind the thermometer
-_CIRCUIT_LAGS = (0.3, 1.0, 3.0)  # s, of a field behind the current: housings, a filtered current
+_CIRCUIT_LAGS = (1.0, 3.0)  # s, of a field behind the current: housings, a filtered current
 _ENDS = 16  # times at which a magnetic object may be attached or removed
 _MARGIN = 4  # windows at both ends where a step cannot be distinguished from noise
 
