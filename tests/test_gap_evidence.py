@@ -25,7 +25,6 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
-from magyc_gtsam.gap.rules import RULES
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60
@@ -285,9 +284,7 @@ def test_a_saturation_is_no_cubic_beside_it(seed: int) -> None:
     assert said.get("cubic", 0.0) < 0.3
 
 
-@pytest.mark.parametrize(
-    ("duration", "orders"), [(5, [0]), (30, [0, 4]), (50, [0, 4]), (120, [0, 4, 12])]
-)
+@pytest.mark.parametrize(("duration", "orders"), [(5, [0]), (30, [0, 4]), (50, [0, 4]), (120, [0, 4, 12])])
 def test_a_drift_is_a_line_or_slow(duration: int, orders: list[int]) -> None:
     """Its modes have periods of 12 s and longer."""
     recording = mg.simulate("wide", duration, seed=1).recording

@@ -28,8 +28,7 @@ def twin() -> Twin:
 
 def test_neighbours_are_products(twin: Twin) -> None:
     setting = {"time": 100.0}
-    plain = twin.columns("hard-iron-step", setting).window
-    reading, gain, field = (f.columns(twin).window for f in neighbours("hard-iron-step", setting))
+    reading, gain = (f.columns(twin).window for f in neighbours("hard-iron-step", setting))
     on = twin.time > 100.0
     seen = twin.windows.need("field")
     unit = np.sqrt((seen**2).mean())
@@ -37,8 +36,12 @@ def test_neighbours_are_products(twin: Twin) -> None:
         np.testing.assert_allclose(gain[axis, axis], on * seen[axis] / unit)
     shifted = seen + twin.windows.need("hard_iron")[:, None]
     np.testing.assert_allclose(reading[1, 1], on * shifted[1] / np.sqrt((shifted**2).mean()))
-    assert field.shape == (9, *plain.shape[1:])
-    np.testing.assert_allclose(field[5, 1], on * seen[2] / unit)
+
+    setting = {"lag": 0.0}
+    warm = twin.columns("temperature-hard-iron", setting).window
+    _, field = (f.columns(twin).window for f in neighbours("temperature-hard-iron", setting))
+    assert field.shape == (3 * len(warm), 3, twin.n)
+    np.testing.assert_allclose(field[5, 1], warm[1, 1] * seen[2] / unit)
 
     turned = twin.columns("timing", {}).window
     speed = np.linalg.norm(twin.windows.need("rate"), axis=0)

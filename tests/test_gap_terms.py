@@ -35,6 +35,9 @@ def signals(n: int = 50) -> Signals:
 SETTINGS = {
     "hard-iron-step": {"time": 2.0},
     "hard-iron-drift": {"order": 2.0, "start": 0.0, "end": 5.0},
+    "soft-iron-step": {"time": 2.0},
+    "gyro-bias-step": {"time": 2.0},
+    "gyro-bias-drift": {"order": 2.0, "start": 0.0, "end": 5.0},
     "eddy-plane": {"x": 0.6, "y": 0.0, "z": 0.8},
     "local-anomaly": {"time": 2.0, "width": 1.0},
     "saturation": {"level": 3e-5},

@@ -26,8 +26,8 @@ class Prior:
             undetectable by any motion to larger than in any sensor.
         nothing: odds of a recording with sensor noise only, against any other: three of four have an effect, however
             small.
-        named: odds of one more effect of the catalogue against none: three of four effects are among the catalogue's
-            28.
+        named: odds of one more effect of the catalogue against none: of each, as when three of four effects were among
+            the 22 that it had then.
         unknown: odds of an effect outside the catalogue against none, all together: two of five effects. At 0.25 one
             of 19 foreign recordings of edition 36 was given a name, at 0.5 and 1 none; of 19 with one effect none lost
             its name.
@@ -77,7 +77,7 @@ class Prior:
 
     scales: Array = field(default_factory=_octaves)
     nothing: float = float(np.log(1 / 3))
-    named: float = float(np.log(0.75 / 28))
+    named: float = float(np.log(0.75 / 22))
     unknown: float = float(np.log(0.5))
     unforeseen: float = 0.015
     imitated: float = float(np.log(0.1))

@@ -44,17 +44,6 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         "a cable a hand's breadth from the sensor",
         (0.16 * MILLIGAUSS, 0.16 * MILLIGAUSS),
     ),
-    "current-squared": Strength(
-        3.0 * MILLIGAUSS,
-        "T per σ of the current's square",
-        "3 mG per σ of the square",
-        "a converter near the sensor",
-    ),
-    "load-soft-iron": Strength(8e-3, "1 per σ of the current", "0.8 % per σ of the current", "a motor's core"),
-    "soft-iron-step": Strength(20e-3, "1", "2 % along a rod", "a tool or an anchor stowed near the sensor"),
-    "temperature-gain": Strength(
-        4e-3, "1 per σ of the temperature", "0.4 % per σ of the temperature", "an uncompensated sensor"
-    ),
     "temperature-hard-iron": Strength(
         4.0 * MILLIGAUSS,
         "T per σ of the temperature",
@@ -90,10 +79,6 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         "1.6 mrad/s per σ of the temperature",
         "0.02 °/s/°C; sixteen",
         (0.1 * _MRAD, 0.1 * _MRAD),
-    ),
-    "gyro-bias-step": Strength(3 * _MRAD, "rad/s", "3 mrad/s", "0.2 °/s, of a consumer part after a shock"),
-    "gyro-bias-drift": Strength(
-        1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that warms for minutes"
     ),
     "g-sensitivity": Strength(
         7 * _MRAD,
@@ -131,6 +116,21 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         0.7, "1", "own period 1.7 times the log's", "a magnetometer slower than the log, free-running"
     ),
     "axis-order": Strength(1.0, "1", "a signed permutation", "there is no half of it"),
+    "current-squared": Strength(
+        3.0 * MILLIGAUSS,
+        "T per σ of the current's square",
+        "3 mG per σ of the square",
+        "a converter near the sensor",
+    ),
+    "load-soft-iron": Strength(8e-3, "1 per σ of the current", "0.8 % per σ of the current", "a motor's core"),
+    "soft-iron-step": Strength(20e-3, "1", "2 % along a rod", "a tool or an anchor stowed near the sensor"),
+    "temperature-gain": Strength(
+        4e-3, "1 per σ of the temperature", "0.4 % per σ of the temperature", "an uncompensated sensor"
+    ),
+    "gyro-bias-step": Strength(3 * _MRAD, "rad/s", "3 mrad/s", "0.2 °/s, of a consumer part after a shock"),
+    "gyro-bias-drift": Strength(
+        1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that warms for minutes"
+    ),
 }
 
 FOREIGN_STRENGTHS: dict[str, Strength] = {
