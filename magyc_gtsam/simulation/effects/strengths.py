@@ -122,10 +122,10 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         "3 mG per σ of the square",
         "a converter near the sensor",
     ),
-    "load-soft-iron": Strength(8e-3, "1 per σ of the current", "0.8 % per σ of the current", "a motor's core"),
+    "load-soft-iron": Strength(12e-3, "1 per σ of the current", "1.2 % per σ of the current", "a motor's core"),
     "soft-iron-step": Strength(20e-3, "1", "2 % along a rod", "a tool or an anchor stowed near the sensor"),
     "temperature-gain": Strength(
-        4e-3, "1 per σ of the temperature", "0.4 % per σ of the temperature", "an uncompensated sensor"
+        6e-3, "1 per σ of the temperature", "0.6 % per σ of the temperature", "an uncompensated sensor"
     ),
     "gyro-bias-step": Strength(3 * _MRAD, "rad/s", "3 mrad/s", "0.2 °/s, of a consumer part after a shock"),
     "gyro-bias-drift": Strength(
