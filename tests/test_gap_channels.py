@@ -64,7 +64,7 @@ def test_what_was_passed_is_named_and_corrected_without_a_channel_that_it_resemb
         (passed,) = gap.effects
         assert passed.name == "local-anomaly"
         assert passed.applied
-        assert {"field-gradient", "temperature-gyro"} <= set(passed.ambiguous_with)
+        assert {"field-gradient", "temperature-hard-iron"} <= set(passed.ambiguous_with)
 
 
 def _without_channels(name: str, motion: str) -> Gap:

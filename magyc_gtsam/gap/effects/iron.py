@@ -148,9 +148,9 @@ MOTOR_CURRENT = EffectTerm(
     settings=lagging_circuits,
     products=("reading", "gain"),
 )
-# A converter or a motor bridge chops the current: the channel shows its mean, while part of the field follows its power.
-# So do a winding's warmth and the bend of an iron core. It is confused with the current's own field, where the load has
-# one power only.
+# A converter or a motor bridge chops the current: the channel shows its mean, part of the field follows its power.
+# So do a winding's warmth and the bend of an iron core. It is confused with the current's own field, where the load
+# has one power only.
 SQUARED = EffectTerm(
     name="current-squared",
     label="magnetic field of a current's square",

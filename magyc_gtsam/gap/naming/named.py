@@ -173,10 +173,11 @@ def _terms(fitted: Refit, given: int, rivals: Mapping[str, tuple[str, ...]]) -> 
 
 
 def _without_channel(name: str, twin: Twin) -> list[str]:
-    """Return the effects whose missing channel might explain a change with time."""
+    """Return the effects on the same sensor whose missing channel might explain a change with time."""
     if name not in MOMENTS:
         return []
-    return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
+    same = {other: term for other, term in TERMS.items() if term.side == TERMS[name].side}
+    return [other for other, term in same.items() if term.missing(twin) and "acceleration" not in term.channels]
 
 
 def _noise(said: Answer, first: First, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
