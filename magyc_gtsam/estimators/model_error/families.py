@@ -262,7 +262,7 @@ _ALONG = WindowMotion.in_sensor
 FAMILIES = (
     _in_time("wander:slow", _VARIES, WindowMotion.in_world, 0.05, SLOW, of_place=True),
     _in_time("wander:fast", _VARIES, WindowMotion.in_world, 0.05, _FASTER, of_place=True, stage=2),
-    _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, stage=1, of_iron=True, at_end=_drift_at_end(SLOW)),
+    _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, of_iron=True, at_end=_drift_at_end(SLOW)),
     _in_time("drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER), stage=2),
     ColumnFamily("attitude", _GOES, attitude, 0.03, 9, stage=1, of_place=True, prior=SELDOM),
     ColumnFamily("tilt", _LEANS, tilt, 0.03, 3, stage=1),
