@@ -163,6 +163,7 @@ SQUARED = EffectTerm(
     say=_say_squared,
     motion="run the load at several powers, not in step with the turns",
     settings=lagging_circuits,
+    power=2,
 )
 TEMPERATURE = EffectTerm(
     name="temperature-hard-iron",

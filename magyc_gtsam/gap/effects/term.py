@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.changes import Setting, referenced
+from magyc_gtsam.factors.effects.changes import Setting, beyond_reference, referenced
 from magyc_gtsam.factors.effects.forms import FORMS, Form
 from magyc_gtsam.factors.effects.signals import CHANNELS, Signals, rows_by_kind
 from magyc_gtsam.gap.model.twin import Columns, Twin
@@ -50,6 +50,7 @@ class EffectTerm:
         most: number of such effects that one model may contain.
         possible: function that returns whether the effect can have fitted values (SI) at a setting; if not, the cause
             is another effect.
+        power: of the channel that a value multiplies.
         products: signals whose product with it is a neighbour to be distinguished from it; see `gap.neighbours`.
     """
 
@@ -68,6 +69,7 @@ class EffectTerm:
     block: Callable[[Setting], float] = lambda setting: RULES.block
     most: int = 1
     possible: Callable[[Twin, Array, Setting], bool] = lambda twin, value, setting: True
+    power: int = 1
     products: tuple[str, ...] = ()
 
     @property
@@ -93,12 +95,11 @@ class EffectTerm:
         )
 
     def deviations(self, twin: Twin, setting: Setting) -> Array:
-        """Return the standard deviation (k,) of the channel of each value over the recording; (1,) one without one."""
+        """Return the deviation (k,) over the recording of what each value multiplies; (1,) one without a channel."""
         kind = next((channel for channel in self.channels if channel in CHANNELS), None)
         if kind is None:
             return np.ones(1)
-        channel = twin.windows.need(kind)
-        spread = channel[referenced(channel, setting)].std(axis=1)
+        spread = (beyond_reference(twin.windows.need(kind), setting) ** self.power).std(axis=1)
         return np.repeat(np.where(spread > 0, spread, 1.0), len(self.parameters))
 
     def regressors(self, twin: Twin, setting: Setting) -> Columns:
