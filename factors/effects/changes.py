@@ -101,7 +101,7 @@ def temperature_gain(s: Signals, setting: Setting) -> Array:
 
 
 def current_squared(s: Signals, setting: Setting) -> Array:
-    """Return the columns of the square of a current, whose field a pair of leads of one polarity cannot cancel."""
+    """Return the columns of the square of a current, or of one that follows it by `lag` s."""
     rows = beyond_reference(s.need("current"), setting) ** 2
     return per_axis(_lagged(s.need("time"), rows, setting.get("lag", 0.0)))
 

@@ -11,7 +11,6 @@ from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby, step_nearby, ste
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 
-_STEPS = 40  # times at which a step is tried
 _MODES = (0.0, 2.0, 4.0)  # of a drift: a straight line, or cosines
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
 
@@ -43,10 +42,6 @@ def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
     by = vector(value, sigma)
     behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
     return f"the gyroscope's bias depends on temperature, by {by} mrad/s per unit of the channel{behind}"
-
-
-def _times(twin: Twin) -> list[dict[str, float]]:
-    return step_times(twin, _STEPS)
 
 
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
@@ -125,7 +120,7 @@ BIAS_STEP = EffectTerm(
     parameters=AXES,
     say=_say_step,
     motion="rest for some seconds before and after the moment in question",
-    settings=_times,
+    settings=step_times,
     refined=step_nearby,
 )
 # A gyroscope's zero wanders with its supply, its age and its warmth, over minutes. Without a thermometer it is what

@@ -13,7 +13,8 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
-_STEPS = 100  # times at which a step is tried
+_STEPS = 100  # times at which a step of the hard iron is tried
+_FEWER = 40  # of other steps: with more values, or of more samples
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s, lags of the sensor's temperature behind the thermometer
 _CIRCUIT_LAGS = (1.0, 3.0)  # s, of a field behind the current: housings, a filtered current
 _ENDS = 16  # times at which a magnetic object may be attached or removed
@@ -64,7 +65,7 @@ def _edges(twin: Twin, count: int) -> Array:
     return edges[np.unique(np.linspace(0, len(edges) - 1, min(count, len(edges))).astype(int))]
 
 
-def step_times(twin: Twin, count: int) -> list[dict[str, float]]:
+def step_times(twin: Twin, count: int = _FEWER) -> list[dict[str, float]]:
     """Return single steps at up to `count` times."""
     return [{"time": float(t)} for t in _edges(twin, count)]
 
@@ -77,10 +78,14 @@ def _jumps(twin: Twin) -> list[dict[str, float]]:
     return single + [{"time": float(a), "until": float(b)} for a, b in combinations(coarse, 2) if b - a > shortest]
 
 
-def step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    """Return steps at every time near the found one."""
+def _jumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    return step_nearby(twin, setting, _ENDS if "until" in setting else _STEPS)
+
+
+def step_nearby(twin: Twin, setting: Setting, count: int = _FEWER) -> list[dict[str, float]]:
+    """Return steps at every time near the found one, of `count`."""
     edges = _edges(twin, twin.n)
-    width = 1.1 * (edges[-1] - edges[0]) / min(_ENDS if "until" in setting else _STEPS, len(edges))
+    width = 1.1 * (edges[-1] - edges[0]) / min(count, len(edges))
     result = [dict(setting)]
     for end in ("time", "until"):
         if end in setting:
@@ -192,7 +197,7 @@ STEP = EffectTerm(
     say=_say_step,
     motion="turn a full circle before and after the moment in question, at the same place",
     settings=_jumps,
-    refined=step_nearby,
+    refined=_jumps_nearby,
     most=4,
     products=("reading", "gain"),
 )

@@ -8,14 +8,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.iron import circuits, lagged, lagged_nearby, step_nearby, step_times
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
-from magyc_gtsam.gap.model.twin import Twin
 
-_STEPS = 40  # times at which a step is tried; each has six values
-SYMMETRIC = ("xx", "xy", "xz", "yy", "yz", "zz")
-
-
-def _times(twin: Twin) -> list[dict[str, float]]:
-    return step_times(twin, _STEPS)
+_SYMMETRIC = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
@@ -59,7 +53,7 @@ LOAD = EffectTerm(
     matters=6e-3,
     prior=1.0,
     rivals=("motor-current",),
-    parameters=SYMMETRIC,
+    parameters=_SYMMETRIC,
     say=_say_load,
     motion="run the load at several powers on every heading",
     settings=circuits,
@@ -74,9 +68,9 @@ STEP = EffectTerm(
     matters=6e-3,
     prior=1.0,
     rivals=("hard-iron-step",),
-    parameters=SYMMETRIC,
+    parameters=_SYMMETRIC,
     say=_say_step,
     motion="turn a full circle before and after the moment in question, at the same place",
-    settings=_times,
+    settings=step_times,
     refined=step_nearby,
 )
