@@ -19,13 +19,6 @@ def _timing(field: Array, scene: Scene, size: float, random: np.random.Generator
     return lagged(lagged(field, scene.step, size / 2), scene.step, size / 2), {}
 
 
-def _axis_delays(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Read the axes one after the other, in a random order, the last one later than the first by `size`."""
-    late = size * random.permutation([0.0, 0.5, 1.0])
-    read = [np.interp(scene.time - delay, scene.time, axis) for delay, axis in zip(late, field.T, strict=True)]
-    return np.column_stack(read), {"delays": late}
-
-
 def _temperature_gain(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Let the sensitivity of each axis change with temperature, 15 s behind the thermometer."""
     share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
@@ -51,7 +44,6 @@ def _cubic(field: Array, scene: Scene, size: float, random: np.random.Generator)
 
 EFFECTS = {
     "timing": SimulatedEffect(Stage.ELECTRONICS, _timing),
-    "axis-delays": SimulatedEffect(Stage.ELECTRONICS, _axis_delays),
     "temperature-gain": SimulatedEffect(Stage.ELECTRONICS, _temperature_gain, ("temperature",)),
     "saturation": SimulatedEffect(Stage.ELECTRONICS, _saturation),
     "cubic": SimulatedEffect(Stage.ELECTRONICS, _cubic),
