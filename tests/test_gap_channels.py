@@ -151,7 +151,7 @@ def test_no_current_effect_is_rejected_in_any_unit(scale: float) -> None:
     assert gap.verdict == "none"
     assert next(h.status for h in gap.hypotheses if h.name == "motor-current") == "rejected"
     row, same = (next(r for r in isolability(each) if r.name == "motor-current") for each in (recording, plain))
-    assert row.nameable
+    assert row.nameable == same.nameable
     assert row.smallest * scale == pytest.approx(same.smallest, rel=1e-3)
     assert 0.015 < same.smallest < 0.06
 

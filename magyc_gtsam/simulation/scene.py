@@ -10,6 +10,7 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.recording import Array
@@ -153,3 +154,13 @@ def lagged(value: Array, step: float, constant: float) -> Array:
     first = pole * value[:1]
     result, _ = lfilter([1 - pole], [1, -pole], value, axis=0, zi=first)
     return np.asarray(result)
+
+
+def wandering(time: Array, spacing: float, random: np.random.Generator) -> Array:
+    """Return a random walk (n, 3) of zero mean and unit deviation, smooth between knots every `spacing` s."""
+    knots = np.arange(time[0], time[-1] + 2 * spacing, spacing)
+    walk = np.cumsum(random.standard_normal((len(knots), 3)), axis=0)
+    drift = PchipInterpolator(knots, walk)(time)
+    drift -= drift.mean(axis=0)
+    result: Array = drift / np.sqrt((drift**2).sum(axis=1).mean())
+    return result

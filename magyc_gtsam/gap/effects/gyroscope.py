@@ -7,11 +7,10 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import RATE_MATRIX
-from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby, step_nearby, step_times
+from magyc_gtsam.gap.effects.iron import drifts, lagged, lagged_nearby, step_nearby, step_times
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 
-_MODES = (0.0, 2.0, 4.0)  # of a drift: a straight line, or cosines
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
 
 
@@ -47,11 +46,6 @@ def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
     when = measured(setting["time"], setting.get("time_sigma", 0.05))
     return f"the gyroscope's bias jumped by {vector(value, sigma)} mrad/s at {when} s"
-
-
-def _drifts(twin: Twin) -> list[dict[str, float]]:
-    start, end = float(twin.time[0]), float(twin.time[-1])
-    return [{"order": order, "start": start, "end": end} for order in _MODES]
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
@@ -136,7 +130,7 @@ BIAS_DRIFT = EffectTerm(
     parameters=AXES,
     say=_say_drift,
     motion="rest for some seconds now and then, and log the temperature",
-    settings=_drifts,
+    settings=drifts,
 )
 G_SENSITIVITY = EffectTerm(
     name="g-sensitivity",

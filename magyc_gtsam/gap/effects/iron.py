@@ -103,7 +103,7 @@ def irregular_drifts(twin: Twin) -> Iterator[dict[str, float]]:
         order *= RULES.drift_finer
 
 
-def _drifts(twin: Twin) -> list[dict[str, float]]:
+def drifts(twin: Twin) -> list[dict[str, float]]:
     """Return a straight line, and the slow part of a random walk in a few modes or more."""
     start, end = float(twin.time[0]), float(twin.time[-1])
     return [{"order": 0.0, "start": start, "end": end}, *islice(irregular_drifts(twin), 2)]
@@ -212,6 +212,6 @@ DRIFT = EffectTerm(
     parameters=AXES,
     say=_say_drift,
     motion="record longer, and log the temperature",
-    settings=_drifts,
+    settings=drifts,
     products=("reading", "gain"),
 )

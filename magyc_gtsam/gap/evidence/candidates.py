@@ -25,6 +25,7 @@ from magyc_gtsam.gap.rules import RULES
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, setting, and its log prior
 Stack = tuple[Array, Array, list[Part]]
 COURSE, COLOUR, DRIFT = "time:sensor", "coloured-noise", "hard-iron-drift"
+_DRIFTS = (DRIFT, "gyro-bias-drift")
 _AT_ONCE = 100_000  # numbers processed at once, so that they stay in the processor's cache
 
 
@@ -119,12 +120,12 @@ def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
 
 
 def with_each_drift(model: Model, twin: Twin) -> Iterator[Model]:
-    """Yield a model with each number of modes of its irregular drift, ascending; as it is without such a drift."""
+    """Yield a model with each number of modes of its first irregular drift, ascending; as it is without a drift."""
     for index, term in enumerate(model.terms):
-        if term.name == DRIFT and term.setting["order"]:
+        if term.name in _DRIFTS and term.setting["order"]:
             for setting in irregular_drifts(twin):
                 terms = list(model.terms)
-                terms[index] = Active(DRIFT, setting, np.zeros(3 * int(setting["order"])))
+                terms[index] = Active(term.name, setting, np.zeros(3 * int(setting["order"])))
                 yield replace(model, terms=tuple(terms))
             return
     yield model
@@ -159,7 +160,7 @@ def what_matters(twin: Twin, name: str, setting: Setting, count: int) -> Array:
 
 def modes(name: str, count: int) -> Array:
     """Return the number of the mode of each value (count,) of a drift, three to a mode; 1 for any other effect."""
-    return np.repeat(np.arange(1.0, count // 3 + 1), 3) if name == DRIFT else np.ones(count)
+    return np.repeat(np.arange(1.0, count // 3 + 1), 3) if name in _DRIFTS else np.ones(count)
 
 
 def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.environment import GRAVITY
-from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction, lagged, standardised
+from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction, lagged, standardised, wandering
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -43,10 +43,9 @@ def _bias_step(rate: Array, scene: Scene, size: float, random: np.random.Generat
 
 
 def _drift(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Let the zero approach its final value from switching on, in a third of the recording."""
-    way, since = direction(random), scene.time - scene.time[0]
-    left = np.exp(-3 * since / since[-1])
-    return rate + size * ((left - left.mean()) / left.std())[:, None] * way, {"direction": way}
+    """Let the zero wander: a random walk of knots every minute, interpolated smoothly."""
+    drift = size * wandering(scene.time, 60.0, random)
+    return rate + drift, {"reached": drift[-1] - drift[0]}
 
 
 def _acceleration(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:

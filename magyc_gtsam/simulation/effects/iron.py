@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction, lagged, standardised
+from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction, lagged, standardised, wandering
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -44,11 +43,7 @@ def _step(field: Array, scene: Scene, size: float, random: np.random.Generator) 
 
 def _drift(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Add a random walk of knots every 20 s, interpolated smoothly."""
-    knots = np.arange(scene.time[0], scene.time[-1] + 40.0, 20.0)
-    walk = np.cumsum(random.standard_normal((len(knots), 3)), axis=0)
-    drift = PchipInterpolator(knots, walk)(scene.time)
-    drift -= drift.mean(axis=0)
-    drift *= size / np.sqrt((drift**2).sum(axis=1).mean())
+    drift = size * wandering(scene.time, 20.0, random)
     return field + drift, {"reached": drift[-1] - drift[0]}
 
 

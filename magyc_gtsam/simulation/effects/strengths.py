@@ -129,7 +129,7 @@ NAMED_STRENGTHS: dict[str, Strength] = {
     ),
     "gyro-bias-step": Strength(3 * _MRAD, "rad/s", "3 mrad/s", "0.2 °/s, of a consumer part after a shock"),
     "gyro-bias-drift": Strength(
-        1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that warms for minutes"
+        1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that wanders over minutes"
     ),
 }
 
