@@ -65,7 +65,8 @@ class Prior:
         certain: nats for effects that are detected with certainty or not at all.
         world_ahead: nats by which a varying field must explain more than the same variation in the sensor's axes, so
             that no unknown cause is taken for it; both are approximate. It is 28 to 137 in four real rooms, and at most
-            8 for three foreign effects of edition 314, on which it was chosen.
+            8 for three foreign effects of edition 314, on which it was chosen. In place of the field alone, such a
+            cause must explain as much itself: clean recordings reach 6 nats by chance.
         whole: probability that a family is present as a whole, not in one of its parts.
         not_quite: log odds that an effect visibly deviates from its form, by less than `form`.
         beyond: upper limit of an effect's values, in prior standard deviations.

@@ -185,8 +185,9 @@ class Tree:
             key = node.key_with(FIELD_VARIATION)
             variation = field_variation(node.fit.twin)
             if len(variation.components):
-                sensor, world = field_variation(node.fit.twin, in_world=False).gain, variation.gain
-                node.moving.append(max(sensor, min(sensor + PRIOR.world_ahead, world)) - _VARIES)
+                sensor = field_variation(node.fit.twin, in_world=False).gain
+                undecided = sensor > PRIOR.world_ahead and variation.gain < sensor + PRIOR.world_ahead
+                node.moving.append((max(sensor, variation.gain) if undecided else sensor) - _VARIES)
             if key not in self.nodes and len(variation.components):
                 yield self._node((*node.names, FIELD_VARIATION), node.fit, variation, node.search)
         colour, names = node.found.get(COLOUR), (*node.names, COLOUR)
