@@ -343,10 +343,18 @@ def test_a_mounting_is_in_any_matrix_and_a_current_in_none(target: str) -> None:
     assert "not included: motor-current" in Calibration(SOFT_IRON, HARD_IRON, terms=(MOTOR,)).export(target)
 
 
+def _parameters(text: str) -> list[str]:
+    return [line for line in text.splitlines() if not line.startswith("#")]
+
+
 def test_what_no_target_computes_is_said() -> None:
-    """A lag behind the thermometer, several currents, a second current term."""
+    """A lag behind the thermometer or the current, and several currents; the rest is as without them."""
     lagging = Term("temperature-hard-iron", WARM.value, WARM.covariance, {"lag": 60.0})
+    late = Term("motor-current", MOTOR.value, MOTOR.covariance, {"reference_0": 12.0, "lag": 1.0})
     several = Term("motor-current", np.ones(6) * 1e-8, np.eye(6))
-    for term in (lagging, several):
+    assert "not included: motor-current" in Calibration(SOFT_IRON, HARD_IRON, terms=(late,)).export("ardupilot")
+    plain = _parameters(Calibration(SOFT_IRON, HARD_IRON).export("px4"))
+    assert _parameters(Calibration(SOFT_IRON, HARD_IRON, terms=(late,)).export("px4")) == plain
+    for term in (lagging, late, several):
         text = Calibration(SOFT_IRON, HARD_IRON, terms=(term,)).export("px4")
         assert f"LIMIT: not included: {term.name}" in text

@@ -37,15 +37,17 @@ def with_terms(
     in_its_axes = all(term.name != "axis-order" for term in terms)
     for term in terms:
         exchanged = term.name == "axis-order"
-        steady = len(term.value) == 3 and not term.setting.get("lag")
+        at_once = not term.setting.get("lag")  # no target corrects what follows its channel late
+        steady = len(term.value) == 3 and at_once
+        motor = term.name == "motor-current" and at_once
         if exchanged and gyro_bias is not None:
             gyro_bias = term.value.reshape(3, 3).T @ gyro_bias  # from the magnetometer's axes to the gyroscope's
-        if term.name == "motor-current" and per_motor and "motors" not in found and target == "ardupilot":
+        if motor and per_motor and "motors" not in found and target == "ardupilot":
             found["motors"], at_rest = motors_of(term.value, term.setting)
             offset = offset - at_rest
-        elif term.name == "motor-current" and len(term.value) == 3 and not per_motor and "motor" not in found:
+        elif motor and steady and not per_motor and "motor" not in found:
             found["motor"] = term.value
-            offset = offset - term.value * sum(term.setting.values())  # at most one: the term has one channel
+            offset = offset - term.value * sum(term.setting.values())  # at most one reference: it has one channel
         elif term.name == "temperature-hard-iron" and steady:
             found |= {"thermal": term.value, "reference": term.setting.get("reference_0", 0.0)}
         elif term.name == "temperature-gyro" and steady and in_its_axes:
