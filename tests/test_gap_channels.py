@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
@@ -202,3 +203,17 @@ def test_real_channels_hold_values_only(name: str) -> None:
         spoilt[[7, 3000]] = stand_in
         expected = [7, 3000] if abs(stand_in) > 1e6 or name not in ("at full scale", "noise") else []
         assert np.flatnonzero(no_values(spoilt)).tolist() == expected
+
+
+def test_the_lag_of_a_current_is_that_of_the_samples() -> None:
+    """It is estimated on windows of a second."""
+    base, random = mg.simulate("wide", 200, seed=1).recording, np.random.default_rng(1)
+    current = 10.0 * np.repeat(random.integers(0, 4, 40), 50)[: len(base.time)]
+    decay = np.exp(-0.1 / 2.0)
+    late = lfilter([1 - decay], [1, -decay], current)
+    added = late[:, None] * np.array([0.5e-7, -0.4e-7, 0.6e-7])
+    recording = replace(base, magnetic_field=base.magnetic_field + added, channels={"current": current})
+    gap = mg.find_gap(recording, candidates=["motor-current", "current-squared", "hard-iron-step"])
+    (effect,) = gap.effects
+    assert effect.name == "motor-current"
+    assert effect.setting["lag"] == pytest.approx(2.0, abs=0.7)

@@ -60,11 +60,15 @@ def temperature(s: Signals, setting: Setting) -> Array:
 
 
 def _lagged(time: Array, rows: Array, lag: float) -> Array:
-    """Return (k, n) rows after a first-order filter that starts in equilibrium."""
+    """Return (k, n) rows after a first-order filter that starts in equilibrium.
+
+    Between two rows its input is their mean, so that the lag is the same on samples and on windows of a second.
+    """
     if lag <= 0:
         return rows
     decay = np.exp(-np.diff(time) / lag)
-    return _remembered(decay, np.column_stack([rows[:, :1], (1 - decay) * rows[:, 1:]]))
+    driven = 0.5 * (1 - decay) * (rows[:, 1:] + rows[:, :-1])
+    return _remembered(decay, np.column_stack([rows[:, :1], driven]))
 
 
 def _remembered(decay: Array, driven: Array) -> Array:

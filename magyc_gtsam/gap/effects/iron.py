@@ -48,6 +48,12 @@ def lagging_circuits(twin: Twin) -> list[dict[str, float]]:
     return [at | lag for at in circuits(twin) for lag in ({}, *({"lag": lag} for lag in _CIRCUIT_LAGS))]
 
 
+def _circuits_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    """Return lags between and beyond those of `lagging_circuits`."""
+    shares = (0.5, 0.7, 1.0, 1.4, 2.0) if "lag" in setting else ()
+    return [dict(setting) | {"lag": setting["lag"] * share} for share in shares]
+
+
 def lagged(twin: Twin) -> list[dict[str, float]]:
     """Return the settings without and with a lag behind the thermometer."""
     duration = float(twin.time[-1] - twin.time[0])
@@ -151,6 +157,7 @@ MOTOR_CURRENT = EffectTerm(
     say=_say_current,
     motion="switch the load on and off several times at rest and under way, not in step with the turns",
     settings=lagging_circuits,
+    refined=_circuits_nearby,
     products=("reading", "gain"),
 )
 # A converter or a motor bridge chops the current: the channel shows its mean, part of the field follows its power.
@@ -168,6 +175,7 @@ SQUARED = EffectTerm(
     say=_say_squared,
     motion="run the load at several powers, not in step with the turns",
     settings=lagging_circuits,
+    refined=_circuits_nearby,
     power=2,
 )
 TEMPERATURE = EffectTerm(
