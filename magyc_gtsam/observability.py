@@ -8,9 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magyc_gtsam.level_turn import LevelTurn, MisalignmentError, level_turn
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array, Mask, Recording
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
 # Limits of the standard deviation above which a result must not be trusted.
@@ -22,6 +23,7 @@ _LEAST_MEAN_FORCE = (
     5.0  # m/s²; an instrument whose mean specific force is less was tumbled and has no vertical axis
 )
 _UNDETERMINED = 100  # factor of the limit above which a parameter counts as not determined at all
+_BANDS, _SECTORS = 6, 10  # cells of equal area: bands from −z to +z, sectors about z from −x on
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,19 @@ def assess(
         limit.
     """
     return Assessor(soft_iron, field_strength, recording, hard_iron, misalignment).of(covariance)
+
+
+def cells(direction: Array) -> Mask:
+    """Return (60,) whether unit vectors (n, 3) visited each cell; the cells are ordered by band."""
+    return np.bincount(cell_of(direction), minlength=_BANDS * _SECTORS) > 0
+
+
+def cell_of(direction: Array) -> NDArray[np.intp]:
+    """Return which of 60 cells of equal area each unit vector (n, 3) is in."""
+    band = np.clip((_BANDS / 2 * (direction[:, 2] + 1)).astype(np.intp), 0, _BANDS - 1)
+    turn = np.arctan2(direction[:, 1], direction[:, 0]) / (2 * np.pi) + 0.5
+    cell: NDArray[np.intp] = _SECTORS * band + (turn * _SECTORS).astype(np.intp) % _SECTORS
+    return cell
 
 
 def _stretched(vech: Array) -> Array:

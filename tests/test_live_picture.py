@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
+from magyc_gtsam.live.next_move import next_move
 from magyc_gtsam.live.picture import Picture
 from magyc_gtsam.live.source import NewSamples, none
-from magyc_gtsam.online.excitation import cell_of, cells, next_move
+from magyc_gtsam.observability import cell_of, cells
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.simulation import simulate
 

@@ -8,9 +8,9 @@ from test_online import distance, feed
 
 from magyc_gtsam import OnlineCalibrator, calibrate, simulate
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, suitable_turn
+from magyc_gtsam.factors.chain.field_windows import in_frame_of, joined
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.online import smoother
-from magyc_gtsam.online.buffers import in_frame_of, joined
 
 
 def test_blocks_joined_are_the_windows_of_the_whole():

@@ -224,3 +224,39 @@ class FieldWindows:
             linked=self.linked[links],
             between=self.between.part(first, stop - 1),
         )
+
+
+def in_frame_of(before: FieldWindows, after: FieldWindows) -> FieldWindows:
+    """Return `after`, whose first window is the last one of `before`, rotated into the world frame of `before`."""
+    # R' = Qᵀ R for all samples, so that the windows' means M = mean Rᵀ become M' = M Q.
+    left, _, right = np.linalg.svd(np.linalg.solve(before.rotation[:, :, -1], after.rotation[:, :, 0]))
+    turn = left @ right
+    return replace(
+        after,
+        rotation=np.einsum("ijn,kj->ikn", after.rotation, turn),
+        rotation_bias=np.einsum("ijbn,kj->ikbn", after.rotation_bias, turn),
+        rotation_rate=np.einsum("ijn,kj->ikn", after.rotation_rate, turn),
+        lever=np.einsum("ij,jkn->ikn", turn, after.lever),
+        between=after.between.turned(turn),
+    )
+
+
+def joined(parts: list[FieldWindows]) -> FieldWindows:
+    """Join parts in one world frame, each of which begins with the last window of the part before."""
+
+    def windows(name: str) -> Array:
+        return np.concatenate([getattr(part, name)[..., min(i, 1) :] for i, part in enumerate(parts)], axis=-1)
+
+    def links(name: str) -> Array:
+        return np.concatenate([getattr(part, name) for part in parts], axis=-1)
+
+    return FieldWindows(
+        **{
+            name: windows(name)
+            for name in ("time", "count", "field", "rotation", "rotation_bias", "rotation_rate")
+        },
+        **{name: links(name) for name in ("lever", "link_time", "linked")},
+        bias=parts[0].bias,
+        delay=parts[0].delay,
+        between=joined_between([part.between for part in parts], [len(part.linked) for part in parts]),
+    )

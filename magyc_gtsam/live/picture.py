@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.live.next_move import next_move
 from magyc_gtsam.live.source import NewSamples
+from magyc_gtsam.observability import cells
 from magyc_gtsam.online.calibrator import OnlineCalibrator
-from magyc_gtsam.online.excitation import cells, next_move
 from magyc_gtsam.recording import Array, Samples
 
 _KEPT = 4000  # samples of the whole run, evenly thinned

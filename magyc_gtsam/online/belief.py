@@ -16,6 +16,7 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import Marginal
 from magyc_gtsam.recording import Array
+from magyc_gtsam.storage.json_types import from_typed_json, typed_json
 
 FIRST = 12  # windows before the first fit
 
@@ -91,50 +92,15 @@ class Belief:
 
     def to_json(self) -> str:
         """Return everything as text for `from_json`."""
-        return json.dumps(_plain(vars(self)))
+        return json.dumps(typed_json(vars(self), _TYPES))
 
     @classmethod
     def from_json(cls, text: str) -> Belief:
         """Return the belief that `to_json` described, bit for bit."""
-        return cls(**_restored(json.loads(text)))
+        return cls(**from_typed_json(json.loads(text), _TYPES))
 
 
 _TYPES: dict[str, Any] = {
-    each.__name__: each for each in (Change, Component, Drift, Estimate, Marginal, ModelError, SensorNoise)
+    each.__name__: each
+    for each in (Calibration, Change, Component, Drift, Estimate, Marginal, ModelError, SensorNoise)
 }
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON types; arrays, tuples and instances of `_TYPES` as {name: content}."""
-    if isinstance(value, np.ndarray):
-        return {"array": [value.shape, value.ravel().tolist()]}
-    if isinstance(value, Calibration):
-        return {"Calibration": value.to_dict()}
-    if (name := type(value).__name__) in _TYPES:
-        return {name: _plain(value._asdict() if hasattr(value, "_asdict") else vars(value))}
-    if isinstance(value, tuple):
-        return {"tuple": [_plain(each) for each in value]}
-    if isinstance(value, list):
-        return [_plain(each) for each in value]
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _restored(value: Any) -> Any:
-    """Return the value that `_plain` described."""
-    if isinstance(value, list):
-        return [_restored(each) for each in value]
-    if not isinstance(value, dict):
-        return value
-    name = next(iter(value), "")
-    if name == "array":
-        shape, numbers = value[name]
-        return np.array(numbers, dtype=np.float64).reshape(shape)
-    if name == "Calibration":
-        return Calibration.from_dict(value[name])
-    if name == "tuple":
-        return tuple(_restored(value[name]))
-    if name in _TYPES:
-        return _TYPES[name](**_restored(value[name]))
-    return {key: _restored(each) for key, each in value.items()}

@@ -18,12 +18,13 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.online import state_file
+from magyc_gtsam.observability import cells
 from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
 from magyc_gtsam.online.intake import Intake, scalar, vector
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
 from magyc_gtsam.sensor_faults.faults import SensorFaults
+from magyc_gtsam.storage.array_file import expect_layout, read_arrays, write_arrays
 from magyc_gtsam.storage.json_types import json_types
 
 _ENGINES = {  # method → "module:class"; the class takes the method's options as keywords
@@ -32,6 +33,8 @@ _ENGINES = {  # method → "module:class"; the class takes the method's options 
 }
 
 _TOGETHER = 16  # number of single samples that are processed together
+_MOST_DIRECTIONS = 2000  # largest number of samples whose directions count as visited
+_FORMAT = "magyc-gtsam online state 16"
 
 
 class OnlineCalibrator:
@@ -176,9 +179,19 @@ class OnlineCalibrator:
     def progress(self) -> Progress:
         """The progress, the weak directions and the motion that helps."""
         self._catch_up()
-        progress = with_faults(self._intake.counted(self._engine.progress()), self._faults)
+        progress = replace(self._engine.progress(), coverage=self._coverage())
+        progress = with_faults(self._intake.counted(progress), self._faults)
         twice = self._counted_twice
         return replace(progress, converged=False, sentence=twice) if twice else progress
+
+    def _coverage(self) -> float:
+        """Return the share of 60 equal cells of the sphere that the calibrated field visited."""
+        calibration, field = self._engine.calibration(), self._engine.field()
+        if calibration is None:
+            return 0.0
+        direction = calibration.apply(field[:: max(len(field) // _MOST_DIRECTIONS, 1)])
+        direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
+        return float(cells(direction).mean())
 
     @property
     def field(self) -> Array:
@@ -204,16 +217,23 @@ class OnlineCalibrator:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the whole state to one file, replacing it atomically, so that an interruption loses no saved state."""
         self._catch_up()
-        state_file.write(path, self.method, self.options, self._state())
+        header = {"format": _FORMAT, "method": self.method, "options": self.options}
+        write_arrays(path, header, self._state())
+
+    @property
+    def _parts(self) -> dict[str, Engine | Intake | SensorFaults | RunningFingerprint]:
+        """The parts whose states together are that of the calibrator."""
+        return {
+            "engine": self._engine,
+            "intake": self._intake,
+            "faults": self._faults,
+            "samples": self._samples,
+        }
 
     def _state(self) -> dict[str, Array]:
-        parts = {
-            "engine": self._engine.state(),
-            "intake": self._intake.state(),
-            "faults": self._faults.state(),
-            "samples": self._samples.state(),
+        return {
+            f"{part}/{name}": value for part, owner in self._parts.items() for name, value in owner.state().items()
         }
-        return {f"{part}/{name}": value for part, state in parts.items() for name, value in state.items()}
 
     def __reduce__(self) -> tuple[Any, ...]:  # copies and pickles as `save` and `load` do
         self._catch_up()
@@ -226,30 +246,29 @@ class OnlineCalibrator:
         Raises:
             MagycError: the file does not exist, or is not a saved state of this version.
         """
-        method, options, state = state_file.read(path)
+        what = "the state of an online calibration"
+        header, state = read_arrays(path, _FORMAT, what, "OnlineCalibrator.load")
+        method, options = header.get("method"), header.get("options")
+        if not isinstance(method, str) or not isinstance(options, dict):
+            raise MagycError(f"{path}: not {what} (no method or options in it)")
         try:
             # Reading the progress reveals a state whose shapes match but whose values do not. It may change the state,
             # so the result is restored again.
             cls._restored(method, options, state).progress  # noqa: B018
-            result = cls._restored(method, options, state)
+            return cls._restored(method, options, state)
         except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
             raise MagycError(
                 f"{path}: the state of method {method!r} in it is incomplete or damaged ({shortened(error)}); "
                 "remove the file and start a new run"
             ) from None
-        return result
 
     @classmethod
     def _restored(cls, method: str, options: Mapping[str, Any], state: Mapping[str, Any]) -> OnlineCalibrator:
         result = cls(method, **options)
-        state_file.compare(result._state(), state)
-        parts = (
-            ("engine/", result._engine),
-            ("intake/", result._intake),
-            ("faults/", result._faults),
-            ("samples/", result._samples),
-        )
-        for part, owner in parts:
-            owner.restore({k.removeprefix(part): v for k, v in state.items() if k.startswith(part)})
-        state_file.compare(state, result._state())
+        expect_layout(result._state(), state)
+        for part, owner in result._parts.items():
+            owner.restore(
+                {name.removeprefix(f"{part}/"): v for name, v in state.items() if name.startswith(f"{part}/")}
+            )
+        expect_layout(state, result._state())
         return result

@@ -17,7 +17,6 @@ from magyc_gtsam.estimators.magyc.graph import MagycGraph
 from magyc_gtsam.estimators.magyc.options import IncrementalOptions
 from magyc_gtsam.estimators.magyc.state import limits_about
 from magyc_gtsam.online.engine import Change, Progress
-from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 
@@ -123,8 +122,7 @@ class IncrementalMagyc:
         else:
             sentence = calibration.message
         weak = calibration.observability.weak if calibration.observability else ()
-        visited = coverage(calibration, self._visited[:, 1:])
-        return Progress(None, 0.0, len(self._graph), converged, sentence, weak, visited)
+        return Progress(None, 0.0, len(self._graph), converged, sentence, weak)
 
     def field(self) -> Array:
         """See `Engine.field`."""

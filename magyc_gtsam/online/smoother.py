@@ -34,7 +34,6 @@ from magyc_gtsam.online.belief import FIRST, Belief
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.change_point import LARGE, SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
-from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.online.random_walk import advance_filter, fit_random_walk
 from magyc_gtsam.online.recent_change import recent_change
 from magyc_gtsam.online.refit import REFIT_GROWTH, SHORTEST_TAIL, drift_of, on_one_clock, refit, testable
@@ -213,7 +212,6 @@ class OnlineSmoother:
         """See `Engine.progress`."""
         online, belief, calibration = self._online, self._online.belief, self.calibration()
         windows = belief.given_up + len(online.numbers())
-        seen = 0.0 if calibration is None else coverage(calibration, self.field())
         weak = calibration.observability.weak if calibration and calibration.observability else ()
         converged = self.converged() and calibration is not None and calibration.trusted
         if belief.problem:
@@ -226,7 +224,7 @@ class OnlineSmoother:
             sentence = f"the estimate still changes: {weak[0].sentence if weak else 'keep turning'}"
         else:
             sentence = "converged"
-        return Progress(None, 0.0, windows, converged, sentence, weak, seen)
+        return Progress(None, 0.0, windows, converged, sentence, weak)
 
     def field(self) -> Array:
         """See `Engine.field`."""

@@ -1,4 +1,4 @@
-"""The share of the sphere of field directions that the sensor has seen, and the move that adds most to it."""
+"""The move that shows the sensor most of the directions of the field that it has not seen."""
 
 from __future__ import annotations
 
@@ -6,39 +6,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.observability import cell_of
 from magyc_gtsam.recording import Array, Mask
-
-BANDS, SECTORS = 6, 10  # cells of equal area: bands from −z to +z, sectors about z from −x on
-_MOST = 2000  # largest number of directions that are evaluated
 
 _TILTS = (0.0, 20.0, 45.0, 90.0)  # deg, in both directions; smaller tilts are hard to do by hand
 _STEP = 5.0  # deg between evaluated attitudes
 _EFFORT = 20.0  # deg of tilt that must gain one more cell
 _LEAST = 2  # smallest number of cells that a move must gain
 _NAMES = {"x": "roll", "y": "pitch"}
-
-
-def coverage(calibration: Calibration, field: Array) -> float:
-    """Return the share of 60 equal cells that the directions of the calibrated `field` (n, 3) visited."""
-    direction = calibration.apply(field[:: max(len(field) // _MOST, 1)])
-    direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
-    return float(cells(direction).mean())
-
-
-def cells(direction: Array) -> Mask:
-    """Return (60,) whether unit vectors (n, 3) visited each cell; the cells are ordered by band."""
-    return np.bincount(cell_of(direction), minlength=BANDS * SECTORS) > 0
-
-
-def cell_of(direction: Array) -> NDArray[np.intp]:
-    """Return the cells (n,) of unit vectors (n, 3)."""
-    band = np.clip((BANDS / 2 * (direction[:, 2] + 1)).astype(np.intp), 0, BANDS - 1)
-    turn = np.arctan2(direction[:, 1], direction[:, 0]) / (2 * np.pi) + 0.5
-    cell: NDArray[np.intp] = SECTORS * band + (turn * SECTORS).astype(np.intp) % SECTORS
-    return cell
 
 
 @dataclass(frozen=True)
