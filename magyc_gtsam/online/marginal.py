@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.skew import with_angles
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.skew import SkewPriorFact, with_angles
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.field_chain import FieldChain
@@ -155,6 +156,15 @@ class ContinuedChain(FieldChain):
         return np.concatenate(
             [with_angles(state.parameters) - self.past.parameters, tangent.T @ (state.direction[:, 0] - direction)]
         )
+
+
+def continued(fit: Fit) -> ContinuedChain:
+    """Return the chain of a fit as a `ContinuedChain`, without the prior of a misalignment, which is not a fact."""
+    chain = fit.chain
+    facts = tuple(fact for fact in chain.facts if not isinstance(fact, SkewPriorFact))
+    if isinstance(chain, ContinuedChain):
+        return replace(chain, facts=facts)
+    return ContinuedChain(chain.windows, chain.noise, facts=facts)
 
 
 def _symmetric(matrix: Array) -> Array:

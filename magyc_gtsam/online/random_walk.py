@@ -20,6 +20,7 @@ from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, widened
+from magyc_gtsam.online.report import with_misalignment
 from magyc_gtsam.online.state import SmootherState
 
 _SHORTEST, _LONGEST = 2, 6  # windows of a block, in which the parameters are constant
@@ -50,7 +51,7 @@ def filter_walk(online: SmootherState) -> None:
 
 def fit_random_walk(online: SmootherState, stop: int) -> Fit:
     """Return a fit up to window `stop` with θ and its information from the last block, the rest from the whole tail."""
-    fit, last = online.with_misalignment(online.fit_tail(stop)), _filtered_end(online, stop)[0]
+    fit, last = with_misalignment(online, online.fit_tail(stop)), _filtered_end(online, stop)[0]
     information, time = last.reduced.information, last.chain.windows.time
     for rows, walk in online.settings.walks:
         # The block estimates the walk's mean; the end of a walk of length T differs from it by T/3 in variance.

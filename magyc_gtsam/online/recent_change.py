@@ -31,8 +31,7 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.marginal import ContinuedChain, Marginal
-from magyc_gtsam.online.state import continued
+from magyc_gtsam.online.marginal import ContinuedChain, Marginal, continued
 
 _IRON = slice(0, 9)  # soft iron times field strength, and hard iron: T
 _FEWEST = 3  # windows before a change

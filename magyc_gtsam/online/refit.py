@@ -2,67 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error import ModelError, model_error
-from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift, slowed, with_drift
-from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
-from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.estimators.smoother.clock_drift import with_drift
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.noise_levels import adapt
+from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.estimators.smoother.preparation import (
+    magnetometer_noise,
+    preintegrate,
+    short_term_noise,
+    suitable_turn,
+)
+from magyc_gtsam.estimators.smoother.search import (
+    disturbed,
+    fit_field_chain,
+    moved,
+    refit_field_chain,
+    shortened,
+    with_skew,
+)
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
-from magyc_gtsam.factors.chain.chain_values import DELAY, SKEW
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.belief import Estimate
+from magyc_gtsam.online.buffers import IntegratedWindows
+from magyc_gtsam.online.marginal import BIAS, ContinuedChain, continued
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
+from magyc_gtsam.online.report import LEAST_STABLE, drift_of, observable, report_of, testable
 from magyc_gtsam.online.restart import SOFT_IRON, restart_after_change, restart_at_convergence, soft_iron_changed
-from magyc_gtsam.online.state import SmootherState, continued, fit_samples, observable
-from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.online.state import Estimate, SmootherState
+from magyc_gtsam.recording import Array, Recording
 
 _MOVED = 3.0  # ratio of the field's spread to its short-term noise below which the sensor has not turned
 SHORTEST_TAIL = 24  # windows
 REFIT_GROWTH = 1.25  # growth of the windows between two refits
 _SEARCH = 1.5  # growth of the windows between two fits that do not begin at the estimate
 _STILL = 1.5  # sigmas of the preceding refit by which a parameter of a converged estimate may have moved
-_LEAST_STABLE = 80  # fewest windows for noise levels that are certain enough to look for steps and clock drift
+_NOISE_WINDOWS = 60  # fewest windows after a step for which noise levels are estimated
 _MOST_LOOKED_BACK = 400  # largest number of windows that are searched for steps when the estimate has converged
-
-
-def on_one_clock(online: SmootherState, magnetometer: Samples) -> Samples:
-    """Return the samples with a known clock drift removed from their stamps."""
-    belief, drift = online.belief, online.settings.clock_drift
-    if not drift or not len(magnetometer.time):
-        return magnetometer
-    if np.isnan(belief.clock_start):
-        belief.clock_start = float(magnetometer.time[0])
-    return Samples(slowed(magnetometer.time, belief.clock_start, drift), magnetometer.value)
-
-
-def testable(online: SmootherState, windows: int) -> bool:
-    """Return whether the windows kept are the whole log and enough to test for clock drift."""
-    return online.belief.past is None and not online.settings.walks and windows >= _LEAST_STABLE
-
-
-def drift_of(online: SmootherState, recording: Recording, fit: Fit, trusted: bool) -> Drift | None:
-    """Return how the sensors' clocks drift apart in all windows kept, from `find_drift`; None if they do not.
-
-    The test runs at every refit, and when a result is read if the last refit found no drift. It costs one solve without
-    a drift, otherwise some ten fits. With a harmful drift the result has not converged: nothing is marginalised, and
-    steps in hard iron are not looked for. Once windows have been marginalised (after an hour, or a step), and if
-    parameters walk, later windows are not tested.
-    """
-
-    def fit_again(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
-        fit = fit_field_chain(again, online.fit_options, start=start, brief=True)
-        return fit, lambda: online.result(again, fit).converged
-
-    known = online.belief.drift
-    drift = find_drift(recording, fit, trusted, fit_again, 0.0 if known is None else known.rate)
-    return None if drift is None else drift._replace(known=online.settings.clock_drift)
 
 
 def nothing_turned(recording: Recording) -> str:
@@ -70,6 +54,64 @@ def nothing_turned(recording: Recording) -> str:
     field = recording.magnetometer.value
     spread, noise = float(np.sqrt(field.var(axis=0).mean())), magnetometer_noise(recording)
     return "" if spread > _MOVED * noise else "too little motion: nothing turned yet"
+
+
+def fit_batch(recording: Recording, start: Array | None, options: SmootherOptions) -> tuple[Fit, Preintegration]:
+    """Return the fit and the windows, from `start` (13,) or without a start.
+
+    Raises:
+        MagycError: the axes of the sensors disagree, or there are too few data.
+    """
+    fit = fit_field_chain(recording, options, start=start)
+    samples = preintegrate(recording, options.window, options.turn)
+    if len(samples.starts) != len(fit.chain.windows):  # windows are shorter in disturbed stretches
+        samples = preintegrate(recording, shortened(options.window), options.turn)
+    return fit, samples
+
+
+def fit_samples(online: SmootherState, recording: Recording, search: bool) -> tuple[Fit, Preintegration]:
+    """Fit all samples kept, from the estimate or, for a search, without a start; return the fit and the windows."""
+    belief, settings = online.belief, online.settings
+    if belief.past is None:
+        start = None if search or belief.estimate is None else belief.estimate.parameters
+        return fit_batch(recording, start, online.fit_options)
+    parameters, noise = online.last.parameters[:PARAMETERS], online.last.noise
+    samples = online.buffer.windows(int(online.buffer.numbers[0]), belief.done, online.delay)
+    fewer = len(samples.starts) < _NOISE_WINDOWS or settings.noise is not None
+    short_term = None if fewer else short_term_noise(recording)
+    windows = samples.integrate(parameters[BIAS], online.delay)
+    initial = begin(
+        ContinuedChain(windows, short_term or noise, belief.past), parameters, settings.free(parameters)
+    )
+
+    def refitted(fit: Fit) -> Fit:
+        return refit_field_chain(samples, fit, settings.reject, short_term)
+
+    fit, (prior, known) = refitted(initial), online.skew
+    return fit if prior is None else with_skew(fit, refitted, prior, known), samples
+
+
+def refit_from_windows(online: SmootherState, integrated: IntegratedWindows) -> Fit | None:
+    """Fit all windows with their noise levels and weights; return None if they must be cut or integrated again."""
+    settings, buffer = online.settings, online.buffer
+    if settings.turn is None and suitable_turn(buffer.magnetometer.value) != buffer.turn:
+        return None
+    windows, parameters = (
+        integrated.of(buffer, online.belief.origin),
+        online.last.parameters[:PARAMETERS],
+    )
+    short_term = short_term_noise(buffer) if settings.noise is None else None
+    # Start from the sensors' short-term noise, as the batch method does, so that both end at the same tolerance.
+    chain = FieldChain(windows, short_term or online.last.noise, facts=online.facts())
+    initial = begin(chain, parameters, settings.free(parameters))
+    fit = adapt(descend(initial, NEAR), settings.reject, short_term)
+    # Descend once more, since a start this near leaves the directions at their initial values.
+    fit = descend(replace(fit, reduced=fit.chain.eliminate(fit.state, fit.weights)))
+    prior, known = online.skew
+    if prior is not None:
+        fit = with_skew(fit, lambda wide: adapt(wide, settings.reject, short_term), prior, known)
+    newly_disturbed = buffer.length == settings.window and disturbed(fit)
+    return None if moved(fit) or (settings.reject and newly_disturbed) else fit
 
 
 def refit(online: SmootherState) -> None:
@@ -80,7 +122,7 @@ def refit(online: SmootherState) -> None:
     if belief.front is not None:
         _walk(online)
         return
-    later = search and settings.detect_changes and _LEAST_STABLE <= count <= _MOST_LOOKED_BACK
+    later = search and settings.detect_changes and LEAST_STABLE <= count <= _MOST_LOOKED_BACK
     recording = online.recording(belief.done)
     belief.problem = nothing_turned(recording) if belief.estimate is None else ""
     if belief.problem:
@@ -105,12 +147,12 @@ def refit(online: SmootherState) -> None:
         return
     numbers = _form_head_and_tail(online, fit, samples)
     belief.estimate = estimate
-    if settings.walks and count >= _LEAST_STABLE:
+    if settings.walks and count >= LEAST_STABLE:
         _walk(online)
         return
     was_stable, belief.stable = (
         belief.stable,
-        report.converged and count >= _LEAST_STABLE and _is_stable(online, fit),
+        report.converged and count >= LEAST_STABLE and _is_stable(online, fit),
     )
     belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
     if settings.detect_changes and belief.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
@@ -123,7 +165,7 @@ def _plan_next(online: SmootherState, count: int) -> bool:
     search = belief.past is None and (
         belief.estimate is None or (not belief.stable and count >= belief.next_search)
     )
-    restarted = belief.given_up > 0 and count >= _LEAST_STABLE  # with windows enough to converge at the next refit
+    restarted = belief.given_up > 0 and count >= LEAST_STABLE  # with windows enough to converge at the next refit
     few = (belief.estimate is None and not restarted) or belief.front is not None
     belief.next_refit = max(int((_SEARCH if few else REFIT_GROWTH) * count), count + 8)
     if search:
@@ -148,7 +190,7 @@ def _report(online: SmootherState, recording: Recording, fit: Fit, count: int) -
             or _hard_iron(unexplained) > _hard_iron(belief.unexplained)
         ):
             belief.unexplained = unexplained  # the larger one, since marginalised windows keep that of the past
-    belief.report = report = online.result(recording, fit, refitted=estimate, doubts=belief.contradictions)
+    belief.report = report = report_of(online, recording, fit, refitted=estimate, doubts=belief.contradictions)
     if testable(online, count):
         belief.drift = drift_of(online, recording, fit, report.converged)
         belief.report = report = with_drift(report, belief.drift)
@@ -183,7 +225,7 @@ def _walk(online: SmootherState) -> None:
     filter_walk(online)
     fit = fit_random_walk(online, belief.done)
     belief.estimate = online.last._replace(parameters=fit.state.parameters, covariance=fit.covariance)
-    belief.report = online.result(online.recording(belief.done, belief.tail), fit, belief.tail, online.last)
+    belief.report = report_of(online, online.recording(belief.done, belief.tail), fit, belief.tail, online.last)
     belief.stable = belief.report.converged and _is_stable(online, fit)
     belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
 

@@ -8,13 +8,14 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, descend
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.belief import FIRST
 from magyc_gtsam.online.change_point import NO_PLACE, EarlierChange, Step, find_earlier_change, find_step
 from magyc_gtsam.online.engine import Change
-from magyc_gtsam.online.marginal import BIAS, ContinuedChain
-from magyc_gtsam.online.state import SmootherState, continued, fit_batch, observable
+from magyc_gtsam.online.marginal import BIAS, ContinuedChain, continued
+from magyc_gtsam.online.report import observable, report_of
+from magyc_gtsam.online.state import FIRST, SmootherState
 from magyc_gtsam.recording import Array
 
 SOFT_IRON = slice(0, 6)
@@ -64,7 +65,7 @@ def restart_at_convergence(online: SmootherState, fit: Fit, now: Calibration) ->
 def _before(online: SmootherState, numbers: Array, step: Step) -> Calibration:
     """Return the calibration from the windows `numbers` before a step."""
     recording = online.recording(int(numbers[step.window]), int(numbers[0]))
-    return online.result(recording, step.before, int(numbers[0]), online.last)
+    return report_of(online, recording, step.before, int(numbers[0]), online.last)
 
 
 def restart_after_change(online: SmootherState) -> bool:
@@ -76,8 +77,8 @@ def restart_after_change(online: SmootherState) -> bool:
     numbers, done = online.numbers(), online.belief.done
     recording = online.recording(done, int(numbers[len(numbers) // 2]))
     try:
-        fit, _ = fit_batch(recording, None, online.settings.without_prior)
-        now = online.result(recording, fit)
+        fit = fit_field_chain(recording, online.settings.without_prior)
+        now = report_of(online, recording, fit)
         earlier = _change_before(online, fit) if now.converged else None
     except MagycError:
         return False  # the second half does not fit either: wait for more data

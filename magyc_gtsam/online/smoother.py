@@ -23,22 +23,18 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant, with_drift
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
-from magyc_gtsam.estimators.smoother.noise_levels import adapt
-from magyc_gtsam.estimators.smoother.preparation import short_term_noise, suitable_turn
-from magyc_gtsam.estimators.smoother.search import disturbed, moved, with_skew
+from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
-from magyc_gtsam.factors.chain.chain_values import PARAMETERS
-from magyc_gtsam.factors.chain.field_chain import FieldChain
-from magyc_gtsam.online.belief import FIRST, Belief
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.change_point import LARGE, SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
+from magyc_gtsam.online.marginal import continued
 from magyc_gtsam.online.random_walk import advance_filter, fit_random_walk
 from magyc_gtsam.online.recent_change import recent_change
-from magyc_gtsam.online.refit import REFIT_GROWTH, SHORTEST_TAIL, drift_of, on_one_clock, refit, testable
+from magyc_gtsam.online.refit import REFIT_GROWTH, SHORTEST_TAIL, fit_samples, refit, refit_from_windows
+from magyc_gtsam.online.report import drift_of, report_of, testable
 from magyc_gtsam.online.restart import restart
-from magyc_gtsam.online.state import OnlineOptions, SmootherState, continued, fit_samples
+from magyc_gtsam.online.state import FIRST, Belief, OnlineOptions, SmootherState
 from magyc_gtsam.recording import Array, Samples
 
 _EVERY = 6  # windows between two fits of the tail
@@ -71,7 +67,7 @@ class OnlineSmoother:
         """See `Engine.update`."""
         online, belief = self._online, self._online.belief
         self._fresh = False
-        online.buffer.append(on_one_clock(online, magnetometer), gyroscope)
+        online.append(magnetometer, gyroscope)
         # Parameters that the motion has not determined yet have an infinite covariance on purpose.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             while online.buffer.closed(online.delay) >= belief.done + _EVERY:
@@ -160,11 +156,11 @@ class OnlineSmoother:
             doubts = (
                 prior_contradictions(online.recording(None), online.fit_options) if online.prior_applies else []
             )
-            recording, fit = ending, self._refit_all()
+            recording, fit = ending, refit_from_windows(online, self._integrated)
             if fit is None:
                 recording = online.recording(None)
                 fit, _ = fit_samples(online, recording, False)
-            calibration = online.result(recording, fit, change=self._recent_change(fit), doubts=doubts)
+            calibration = report_of(online, recording, fit, change=self._recent_change(fit), doubts=doubts)
             # The clock drift of the last refit, or of all windows if that found none.
             drift = belief.drift
             if drift is None and testable(online, len(fit.chain.windows)) and drift_is_significant(fit):
@@ -173,35 +169,13 @@ class OnlineSmoother:
         stop = int(online.buffer.numbers[-1]) + 1
         fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
         change = self._recent_change(fit)
-        calibration = online.result(ending, fit, belief.tail, online.last, change, belief.contradictions)
+        calibration = report_of(online, ending, fit, belief.tail, online.last, change, belief.contradictions)
         return with_drift(calibration, belief.drift)
 
     def _recent_change(self, fit: Fit) -> Component | None:
         """Return the error by a recent change of the iron; None if it is not looked for, or walks at random."""
         settings = self._online.settings
         return recent_change(fit) if settings.detect_changes and not settings.walks else None
-
-    def _refit_all(self) -> Fit | None:
-        """Fit all windows with their noise levels and weights; return None if they must be cut or integrated again."""
-        online, settings, buffer = self._online, self._online.settings, self._online.buffer
-        if settings.turn is None and suitable_turn(buffer.magnetometer.value) != buffer.turn:
-            return None
-        windows, parameters = (
-            self._integrated.of(buffer, online.belief.origin),
-            online.last.parameters[:PARAMETERS],
-        )
-        short_term = short_term_noise(buffer) if settings.noise is None else None
-        # Start from the sensors' short-term noise, as the batch method does, so that both end at the same tolerance.
-        chain = FieldChain(windows, short_term or online.last.noise, facts=online.facts())
-        initial = begin(chain, parameters, settings.free(parameters))
-        fit = adapt(descend(initial, NEAR), settings.reject, short_term)
-        # Descend once more, since a start this near leaves the directions at their initial values.
-        fit = descend(replace(fit, reduced=fit.chain.eliminate(fit.state, fit.weights)))
-        prior, known = online.skew
-        if prior is not None:
-            fit = with_skew(fit, lambda wide: adapt(wide, settings.reject, short_term), prior, known)
-        newly_disturbed = buffer.length == settings.window and disturbed(fit)
-        return None if moved(fit) or (settings.reject and newly_disturbed) else fit
 
     def converged(self) -> bool:
         """See `Engine.converged`: the last refit had enough windows and changed the estimate little."""

@@ -2,40 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+import json
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error.component import Component
-from magyc_gtsam.estimators.model_error.model_error import ModelError, model_error
+from magyc_gtsam.estimators.model_error.model_error import ModelError
+from magyc_gtsam.estimators.smoother.clock_drift import Drift, slowed
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.known import known_of
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
-from magyc_gtsam.estimators.smoother.search import (
-    fit_field_chain,
-    refit_field_chain,
-    shortened,
-    skew_prior,
-    with_skew,
-)
-from magyc_gtsam.estimators.smoother.skew import SkewPriorFact, skew_of, widened
+from magyc_gtsam.estimators.smoother.search import skew_prior
 from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
-from magyc_gtsam.estimators.smoother.smoother import calibration_of
-from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SensorNoise
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact
-from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.belief import FIRST, Belief, Estimate
 from magyc_gtsam.online.buffers import SampleBuffer
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.online.engine import Change
+from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal
+from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.storage.json_types import from_typed_json, typed_json
 
-_NOISE_WINDOWS = 60  # fewest windows after a step for which noise levels are estimated
+FIRST = 12  # windows before the first fit
 # Options of the batch method that need the whole recording, or channels that no stream has.
 _NOT_ONLINE = ("gyroscope_scale", "soft_iron_walk", "heading", "declination")
 
@@ -109,6 +101,91 @@ class OnlineOptions(SmootherOptions):
         return tuple((rows, walk) for rows, walk in every if walk)
 
 
+class Estimate(NamedTuple):
+    """An estimate of the parameters, with the noise levels of the last refit.
+
+    Attributes:
+        parameters, covariance: θ (p,), p = 16 if a misalignment was decided, and (p, p) without colour.
+        noise: noise levels of the last refit.
+        colour: correlation factor of its residuals.
+        noise_freedom: degrees of freedom from which the gyroscope's noise was estimated.
+    """
+
+    parameters: Array
+    covariance: Array
+    noise: SensorNoise
+    colour: float
+    noise_freedom: float
+
+
+@dataclass
+class Belief:
+    """Everything except the samples that determines the future results of the smoother.
+
+    Attributes:
+        past, head: marginals of the windows whose samples were dropped, and of all windows up to the tail.
+        front: marginal of all windows up to number `front_at`, if parameters walk at random.
+        tail, done: numbers of the tail's first window and of the first window not yet taken.
+        given_up: number of windows in the past.
+        next_refit, next_search: numbers of windows at which all are fitted again, and without the estimate as a start.
+        estimate: the last estimate; None before the motion determines one.
+        origin: (4,) bias and delay at which the gyroscope was integrated in the last refit.
+        refitted: θ and its sigmas (2, p) at the last refit.
+        report: the calibration of the last refit.
+        settled: whether the head joins the past as it grows.
+        stable: whether the estimate has converged.
+        undecided: whether the tail may contain a step.
+        waiting: whether a refit waits for its decision, because the step would be large.
+        problem: why there is no estimate; "" if there is one.
+        doubt: why the last refit rejected a misalignment that the data suggest.
+        contradictions: of the earlier calibration by the data, at the last refit.
+        unexplained: model error at the last refit; None before, and if parameters walk.
+        changes: the steps found; their `after` is not set.
+        drift: drift of the clocks until the last refit.
+        clock_start: first stamp of the magnetometer, s, from which a known drift is removed.
+    """
+
+    past: Marginal | None = None
+    head: Marginal | None = None
+    front: Marginal | None = None
+    front_at: int = 0
+    tail: int = 0
+    done: int = 0
+    given_up: int = 0
+    next_refit: int = FIRST
+    next_search: int = FIRST
+    estimate: Estimate | None = None
+    origin: Array = field(default_factory=lambda: np.zeros(4))
+    refitted: Array | None = None
+    report: Calibration | None = None
+    settled: bool = False
+    stable: bool = False
+    undecided: bool = False
+    waiting: bool = False
+    problem: str = ""
+    doubt: str = ""
+    contradictions: list[str] = field(default_factory=list)
+    unexplained: ModelError | None = None
+    changes: list[Change] = field(default_factory=list)
+    drift: Drift | None = None
+    clock_start: float = np.nan
+
+    def to_json(self) -> str:
+        """Return everything as text for `from_json`."""
+        return json.dumps(typed_json(vars(self), _TYPES))
+
+    @classmethod
+    def from_json(cls, text: str) -> Belief:
+        """Return the belief that `to_json` described, bit for bit."""
+        return cls(**from_typed_json(json.loads(text), _TYPES))
+
+
+_TYPES: dict[str, Any] = {
+    each.__name__: each
+    for each in (Calibration, Change, Component, Drift, Estimate, Marginal, ModelError, SensorNoise)
+}
+
+
 class SmootherState:
     """The samples and the belief of the online smoother, and the operations on both that its parts share."""
 
@@ -117,6 +194,15 @@ class SmootherState:
         interval_mean = settings.angular_rate_is == "interval-mean"
         self.buffer = SampleBuffer(settings.window, settings.turn or 0.4, interval_mean)
         self.belief = Belief()
+
+    def append(self, magnetometer: Samples, gyroscope: Samples) -> None:
+        """Take new samples, with a known clock drift removed from their stamps."""
+        belief, drift = self.belief, self.settings.clock_drift
+        if drift and len(magnetometer.time):
+            if np.isnan(belief.clock_start):
+                belief.clock_start = float(magnetometer.time[0])
+            magnetometer = Samples(slowed(magnetometer.time, belief.clock_start, drift), magnetometer.value)
+        self.buffer.append(magnetometer, gyroscope)
 
     @property
     def last(self) -> Estimate:
@@ -156,18 +242,6 @@ class SmootherState:
         known = known_of(self.settings)
         return skew_prior(self.settings, known), known.skew if self.prior_applies else None
 
-    def with_misalignment(self, fit: Fit) -> Fit:
-        """Return a continued fit with the misalignment from all windows."""
-        prior, _ = self.skew
-        if prior is None or fit.skew is not None or not isinstance(fit.chain, ContinuedChain):
-            return fit
-        wide = widened(fit, prior)
-        widening = replace(fit, noise_freedom=self.last.noise_freedom).widening
-        skew = skew_of(wide, prior, self.last.colour * widening)
-        if skew.decided and self.belief.doubt:
-            skew = replace(skew.undecided(), doubt=self.belief.doubt)
-        return replace(fit, skew=skew)
-
     def numbers(self, first: int = 0) -> Array:
         """Return the ascending numbers of the windows kept and taken, from `first` on."""
         numbers = self.buffer.numbers
@@ -206,87 +280,3 @@ class SmootherState:
         belief.next_refit = belief.next_search = FIRST
         belief.stable = belief.settled = belief.undecided = belief.waiting = False
         belief.doubt, belief.contradictions = "", []
-
-    def result(
-        self,
-        recording: Recording,
-        fit: Fit,
-        first: int = 0,
-        refitted: Estimate | None = None,
-        change: Component | None = None,
-        doubts: Sequence[str] = (),
-    ) -> Calibration:
-        """Return the calibration of a fit.
-
-        Args:
-            recording: the samples of the fit.
-            fit: the fit.
-            first: number of its first window.
-            refitted: the last refit, whose noise levels hold if the fit is that of a tail.
-            change: error by a change of the iron that the newest windows do not exclude.
-            doubts: reasons for distrust known before.
-        """
-        colour = None if refitted is None else refitted.colour
-        unexplained = None if refitted is None else self.belief.unexplained
-        if self.settings.walks and refitted is not None:  # the random walk covers what the model does not explain
-            unexplained = ModelError(np.zeros_like(refitted.covariance))
-        if refitted is not None:
-            fit = replace(self.with_misalignment(fit), noise_freedom=refitted.noise_freedom)
-        if change is not None:
-            unexplained = (model_error(fit, self.buffer) if unexplained is None else unexplained).beside(change)
-        options = self.settings.without_prior if self.belief.changes else self.settings
-        result = calibration_of(
-            recording, fit, options, colour, doubts, unexplained=unexplained, samples=self.buffer
-        )
-        windows = self.belief.given_up + int(np.searchsorted(self.numbers(), first)) + len(fit.chain.windows)
-        configuration = dict(self.settings.configuration)
-        return replace(result, diagnostics={**result.diagnostics, "windows": windows}, configuration=configuration)
-
-
-def continued(fit: Fit) -> ContinuedChain:
-    """Return the chain of a fit as a `ContinuedChain`, without the prior of a misalignment, which is not a fact."""
-    chain = fit.chain
-    facts = tuple(fact for fact in chain.facts if not isinstance(fact, SkewPriorFact))
-    if isinstance(chain, ContinuedChain):
-        return replace(chain, facts=facts)
-    return ContinuedChain(chain.windows, chain.noise, facts=facts)
-
-
-def observable(calibration: Calibration) -> bool:
-    """Return whether the motion determined the calibration."""
-    return calibration.observability is not None and calibration.observability.observable
-
-
-def fit_batch(recording: Recording, start: Array | None, options: SmootherOptions) -> tuple[Fit, Preintegration]:
-    """Return the fit and the windows, from `start` (13,) or without a start.
-
-    Raises:
-        MagycError: the axes of the sensors disagree, or there are too few data.
-    """
-    fit = fit_field_chain(recording, options, start=start)
-    samples = preintegrate(recording, options.window, options.turn)
-    if len(samples.starts) != len(fit.chain.windows):  # windows are shorter in disturbed stretches
-        samples = preintegrate(recording, shortened(options.window), options.turn)
-    return fit, samples
-
-
-def fit_samples(online: SmootherState, recording: Recording, search: bool) -> tuple[Fit, Preintegration]:
-    """Fit all samples kept, from the estimate or, for a search, without a start; return the fit and the windows."""
-    belief, settings = online.belief, online.settings
-    if belief.past is None:
-        start = None if search or belief.estimate is None else belief.estimate.parameters
-        return fit_batch(recording, start, online.fit_options)
-    parameters, noise = online.last.parameters[:PARAMETERS], online.last.noise
-    samples = online.buffer.windows(int(online.buffer.numbers[0]), belief.done, online.delay)
-    fewer = len(samples.starts) < _NOISE_WINDOWS or settings.noise is not None
-    short_term = None if fewer else short_term_noise(recording)
-    windows = samples.integrate(parameters[BIAS], online.delay)
-    initial = begin(
-        ContinuedChain(windows, short_term or noise, belief.past), parameters, settings.free(parameters)
-    )
-
-    def refitted(fit: Fit) -> Fit:
-        return refit_field_chain(samples, fit, settings.reject, short_term)
-
-    fit, (prior, known) = refitted(initial), online.skew
-    return fit if prior is None else with_skew(fit, refitted, prior, known), samples
