@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.skew import SkewPriorFact, with_angles
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.directions import QuadraticPrior
@@ -165,6 +166,14 @@ def continued(fit: Fit) -> ContinuedChain:
     if isinstance(chain, ContinuedChain):
         return replace(chain, facts=facts)
     return ContinuedChain(chain.windows, chain.noise, facts=facts)
+
+
+def fitted(chain: FieldChain, parameters: Array, free: np.ndarray, reject: bool = True) -> Fit:
+    """Return the fit of a chain from θ (p,), of which `free` (p,) are estimated, at the chain's noise levels.
+
+    With `reject` windows and links that do not fit are down-weighted.
+    """
+    return adapt(descend(begin(chain, parameters, free), NEAR), reject, None)
 
 
 def _symmetric(matrix: Array) -> Array:

@@ -13,13 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, colour_of, descend
-from magyc_gtsam.estimators.smoother.noise_levels import adapt, squares_and_redundancies, weigh
+from magyc_gtsam.estimators.smoother.fit import Fit, colour_of
+from magyc_gtsam.estimators.smoother.noise_levels import squares_and_redundancies, weigh
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, widened
+from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted, widened
 from magyc_gtsam.online.report import with_misalignment
 from magyc_gtsam.online.state import SmootherState
 
@@ -81,8 +81,7 @@ def _filtered_end(online: SmootherState, stop: int) -> tuple[Fit, Marginal, int]
         final = len(windows) - first <= 2 * length
         end = len(windows) if final else first + length + 1
         block = replace(chain, windows=windows.part(first, end), past=past)
-        start = begin(block, parameters, online.settings.free(parameters))
-        fit = adapt(descend(start, NEAR), online.settings.reject, None)
+        fit = fitted(block, parameters, online.settings.free(parameters), online.settings.reject)
         if final:
             return fit, past, first
         past, parameters = _widened(online, block, fit.state, fit.weights), fit.state.parameters
@@ -132,8 +131,7 @@ def _local_noise(windows: FieldWindows, noise: SensorNoise, parameters: Array) -
     free = np.zeros(len(parameters), dtype=bool)
     free[HARD_IRON] = True
     for _ in range(_NOISE_ROUNDS):
-        starts = (begin(FieldChain(part, noise), parameters, free) for part in parts)
-        fits = [adapt(descend(start, NEAR), True, None) for start in starts]
+        fits = [fitted(FieldChain(part, noise), parameters, free) for part in parts]
         squares, redundancy = np.sum([squares_and_redundancies(fit, fit.residuals) for fit in fits], axis=0)
         noise = SensorNoise(*(np.array(noise) * np.sqrt(squares / redundancy)).tolist())
     colour = max(colour_of(np.hstack(parts)) for parts in zip(*(fit.whitened for fit in fits), strict=True))

@@ -23,15 +23,15 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.components import likeliest
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
-from magyc_gtsam.estimators.smoother.noise_levels import adapt, truncated
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.noise_levels import truncated
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.marginal import ContinuedChain, Marginal, continued
+from magyc_gtsam.online.marginal import ContinuedChain, Marginal, continued, fitted
 
 _IRON = slice(0, 9)  # soft iron times field strength, and hard iron: T
 _FEWEST = 3  # windows before a change
@@ -194,7 +194,7 @@ def _change(
     newest = replace(chain, windows=windows, past=widened, facts=())
     try:
         free = np.append(fit.free[:PARAMETERS], np.ones(3, dtype=bool))
-        changed = adapt(descend(begin(newest, before_it, free), NEAR), True, None)
+        changed = fitted(newest, before_it, free)
     except MagycError:  # a direction without curvature
         return None
     window, link = truncated(chain, fit.residuals)

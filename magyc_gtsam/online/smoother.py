@@ -92,7 +92,7 @@ class OnlineSmoother:
         if online.settings.detect_changes and belief.stable:
             step, belief.undecided, belief.waiting = find_step(fit, estimate.colour, self._smallest_step(fit))
             if step is not None:
-                restart(online, online.numbers(belief.tail), step)
+                restart(online, fit, step, online.numbers(belief.tail))
                 return
         if belief.front is None:
             belief.estimate = estimate._replace(parameters=fit.state.parameters, covariance=fit.covariance)

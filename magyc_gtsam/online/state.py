@@ -12,9 +12,8 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.model_error import ModelError
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, slowed
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.known import known_of
-from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import skew_prior
 from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
@@ -23,7 +22,7 @@ from magyc_gtsam.factors.chain.facts import Fact, LinearFact
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.engine import Change
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal
+from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.storage.json_types import from_typed_json, typed_json
 
@@ -258,8 +257,7 @@ class SmootherState:
         samples = self.buffer.windows(self.belief.tail, stop, self.delay)
         windows = samples.integrate(estimate.parameters[BIAS], self.delay)
         chain = ContinuedChain(windows, estimate.noise, self.belief.head)
-        fit = begin(chain, estimate.parameters, self.settings.free(estimate.parameters))
-        return adapt(descend(fit, NEAR), self.settings.reject, None)
+        return fitted(chain, estimate.parameters, self.settings.free(estimate.parameters), self.settings.reject)
 
     def close(self) -> None:
         """Move the head to the past, and drop its samples."""
