@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,23 +20,98 @@ _CONFIRMED_BY = 5  # number of further stamps that confirm one which leaps ahead
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
 _NAMES = ("magnetic_field", "angular_rate")
-_WIDTH = (_FIELD_LIMIT, _RATE_LIMIT)
+_UNITS = ("magnetic_unit", "T", _FIELD_LIMIT), ("angular_unit", "rad/s", _RATE_LIMIT)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stream:
+    """What is known of the samples of one sensor.
+
+    Attributes:
+        name: the argument that gives them.
+        last: (4,) stamp, s, and value of the last one; before the first −inf and NaN.
+        step: s between the last two.
+        behind: number of the last rows in a row that were later than `_LATE` allows.
+        quarantine: (n, 4) stamps and values that are not confirmed yet.
+    """
+
+    name: str
+    last: Array = field(default_factory=lambda: np.array([-np.inf, np.nan, np.nan, np.nan]))
+    step: float = 0.0
+    behind: int = 0
+    quarantine: Array = field(default_factory=lambda: np.empty((0, 4)))
+
+    def take(self, stamps: Array, value: Array) -> tuple[Array, _Stream, int]:
+        """Return the rows (n, 4) that are admitted, the stream after them, and the number of rows left out.
+
+        Raises:
+            MagycError: the numbers of rows differ, the unit is wrong, or a clock was set back.
+        """
+        rows, left_out = self._within_limits(stamps, value)
+        incoming = np.vstack([self.quarantine, rows])
+        admitted, quarantine = _confirmed(incoming, float(self.last[0]), self.step)
+        ascending, behind = self._ascending(admitted)
+        left_out += len(incoming) - len(ascending) - len(quarantine)
+        last, step = self.last, self.step
+        if len(ascending):
+            last = ascending[-1].copy()
+            before = float(ascending[-2, 0] if len(ascending) > 1 else self.last[0])
+            step = float(last[0]) - before if np.isfinite(before) else step
+        return ascending, _Stream(self.name, last, step, behind, quarantine), left_out
+
+    def _within_limits(self, stamps: Array, value: Array) -> tuple[Array, int]:
+        """Return the rows of stamp and value that are finite and within the limit, and the number of rows left out.
+
+        Rows of NaN stand for no sample and are not counted.
+        """
+        if len(value) != len(stamps):
+            raise MagycError(f"{self.name}: {len(value)} rows for {len(stamps)} stamps")
+        argument, unit, limit = _UNITS[_NAMES.index(self.name)]
+        absent = np.isnan(value).all(axis=1)
+        good = np.isfinite(stamps) & np.isfinite(value).all(axis=1)
+        refused = int((~good & ~absent).sum())
+        when, value = stamps[good], value[good]
+        beyond = np.abs(value).max(axis=1, initial=0.0) > limit
+        if not np.isfinite(self.last[0]) and not len(self.quarantine):
+            check_seconds("time", when)
+            if beyond.sum() > 0.5 * len(beyond):  # a wrong unit; after the first block it is a spike
+                row = int(beyond.argmax())
+                raise MagycError(
+                    f"{self.name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} {unit}; "
+                    f"convert it, or read it in its unit ({argument}=)"
+                )
+        return np.column_stack([when, value])[~beyond], refused + int(beyond.sum())
+
+    def _ascending(self, rows: Array) -> tuple[Array, int]:
+        """Return the rows (n, 4) whose stamps ascend after the last one, and the new `behind`."""
+        when = rows[:, 0]
+        if not len(when):
+            return rows, self.behind
+        before = np.maximum.accumulate(np.concatenate([self.last[:1], when]))[:-1]
+        far, place = before - when > _LATE, np.arange(1, len(when) + 1)
+        since = np.maximum.accumulate(
+            np.where(far, -self.behind, place)
+        )  # the last row before that was not far behind
+        run = place - since
+        if run.max() > _CONFIRMED_BY:
+            row = int(run.argmax())
+            raise MagycError(
+                f"{self.name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s and stays there; "
+                "if a clock was set, save the calibration and start a new run"
+            )
+        return rows[when > before], int(run[-1])
 
 
 class Intake:
     """Separates rows of both sensors into two clean streams.
+
     Attributes:
         repeated: (n,) s, stamps in the last rows taken at which the magnetometer repeated the sample before.
     """
 
     def __init__(self) -> None:
         self.repeated = np.empty(0)
-        self._last = {name: (-np.inf, np.full(3, np.nan)) for name in _NAMES}
-        self._quarantine = {
-            name: np.empty((0, 4)) for name in _NAMES
-        }  # time and value of samples not yet confirmed
-        self._step = dict.fromkeys(_NAMES, 0.0)  # s between the last two samples
-        self._behind = dict.fromkeys(_NAMES, 0)  # number of the last rows in a row that were later than `_LATE`
+        self._streams = tuple(_Stream(name) for name in _NAMES)
         self._left_out = 0
         self._first = np.nan
 
@@ -49,61 +124,41 @@ class Intake:
             MagycError: shapes or units are wrong, or a clock was set back; the intake is then unchanged.
         """
         stamps = _array("time", time, 0)
-        rows = {
-            name: _array(name, value, 1)
+        given = [
+            None if value is None else _array(name, value, 1)
             for name, value in zip(_NAMES, (magnetic_field, angular_rate), strict=True)
-            if value is not None
-        }
-        taken, last, left_out = {}, dict(self._last), self._left_out
-        quarantine, steps, behind = dict(self._quarantine), dict(self._step), dict(self._behind)
-        repeated = np.empty(0)
-        for name, limit in zip(_NAMES, _WIDTH, strict=True):
-            if name not in rows:
-                taken[name] = Samples(np.empty(0), np.empty((0, 3)))
-                continue
-            first = not np.isfinite(last[name][0]) and not len(quarantine[name])
-            when, value, refused = _within_limits(name, stamps, rows[name], limit, first)
-            left_out += refused
-            incoming = np.vstack([quarantine[name], np.column_stack([when, value])])
-            admitted, quarantine[name] = _confirmed(incoming, last[name][0], steps[name])
-            left_out += len(incoming) - len(admitted) - len(quarantine[name])
-            when, value, behind[name] = _ascending(name, admitted, last[name][0], behind[name])
-            left_out += len(admitted) - len(when)
-            if len(when):
-                if len(when) > 1 or np.isfinite(last[name][0]):
-                    steps[name] = float(when[-1] - (when[-2] if len(when) > 1 else last[name][0]))
-                if name == "magnetic_field":
-                    fresh = (np.diff(np.vstack([last[name][1], value]), axis=0) != 0).any(axis=1)
-                else:
-                    fresh = np.ones(len(when), dtype=bool)
-                last[name] = (float(when[-1]), value[-1].copy())
-                repeated = np.append(repeated, when[~fresh])
-                when, value = when[fresh], value[fresh]
-            taken[name] = Samples(when, value)
-        self._last, self._left_out, self.repeated = last, left_out, repeated
-        self._quarantine, self._step, self._behind = quarantine, steps, behind
+        ]
+        taken = [
+            (np.empty((0, 4)), stream, 0) if value is None else stream.take(stamps, value)
+            for stream, value in zip(self._streams, given, strict=True)
+        ]
+        (magnetometer, *_), (gyroscope, *_) = taken
+        before = self._streams[0].last[None, 1:]
+        fresh = (np.diff(magnetometer[:, 1:], axis=0, prepend=before) != 0).any(axis=1)
+        self.repeated, magnetometer = magnetometer[~fresh, 0], magnetometer[fresh]
+        self._streams = tuple(stream for _, stream, _ in taken)
+        self._left_out += sum(count for *_, count in taken)
         if np.isnan(self._first):
-            firsts = [s.time[0] for s in taken.values() if len(s.time)]
-            self._first = float(min(firsts)) if firsts else np.nan
-        return taken["magnetic_field"], taken["angular_rate"]
+            self._first = min((rows[0, 0] for rows in (magnetometer, gyroscope) if len(rows)), default=np.nan)
+        return Samples(magnetometer[:, 0], magnetometer[:, 1:]), Samples(gyroscope[:, 0], gyroscope[:, 1:])
 
     @property
     def until(self) -> tuple[float, float]:
         """The stamps, s, of the last sample of magnetometer and gyroscope; −inf before the first."""
-        (magnetometer, _), (gyroscope, _) = (self._last[name] for name in _NAMES)
+        magnetometer, gyroscope = (float(stream.last[0]) for stream in self._streams)
         return magnetometer, gyroscope
 
     @property
     def duration(self) -> float:
         """The time from the first sample to the last, s."""
         last = max(self.until)
-        return last - self._first if np.isfinite(last) else 0.0
+        return float(last - self._first) if np.isfinite(last) else 0.0
 
     def counted(self, progress: Progress) -> Progress:
         """Return the engine's progress with time, duration and count of left-out samples."""
         last = max(self.until)
         time = last if np.isfinite(last) else progress.time
-        absent = [name for name in _NAMES if not np.isfinite(self._last[name][0])]
+        absent = [stream.name for stream in self._streams if not np.isfinite(stream.last[0])]
         if len(absent) == 1:
             progress = replace(progress, sentence=f"collecting: no sample of {absent[0]} yet")
         return replace(progress, time=time, duration=self.duration, left_out=self._left_out)
@@ -111,78 +166,20 @@ class Intake:
     def state(self) -> Mapping[str, Array]:
         """Return the state as named arrays, for `restore`."""
         return {
-            "last": np.array([[time, *value] for time, value in self._last.values()]),
-            "count": np.array([self._first, self._left_out, *self._behind.values()]),
-            "step": np.array([self._step[name] for name in _NAMES]),
-            **{f"quarantine/{name}": rows for name, rows in self._quarantine.items()},
+            "last": np.array([stream.last for stream in self._streams]),
+            "count": np.array([self._first, self._left_out, *(stream.behind for stream in self._streams)]),
+            "step": np.array([stream.step for stream in self._streams]),
+            **{f"quarantine/{stream.name}": stream.quarantine for stream in self._streams},
         }
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Restore a state that `state` returned."""
-        self._last = {
-            name: (float(row[0]), row[1:].copy()) for name, row in zip(_NAMES, state["last"], strict=True)
-        }
-        first, left_out, *behind = state["count"].tolist()
-        self._first, self._left_out = first, int(left_out)
-        self._behind = {name: int(count) for name, count in zip(_NAMES, behind or (0, 0), strict=True)}
-        self._step = dict(zip(_NAMES, state["step"].tolist(), strict=True))
-        self._quarantine = {name: state[f"quarantine/{name}"] for name in _NAMES}
-
-
-def _within_limits(name: str, stamps: Array, value: Array, limit: float, first: bool) -> tuple[Array, Array, int]:
-    """Return stamps and values that are finite and within `limit`, and the number of rows left out.
-
-    Rows of NaN stand for no sample and are not counted.
-
-    Args:
-        name: name of the sensor.
-        stamps, value: (n,) s and (n, 3).
-        limit: largest absolute value.
-        first: whether no sample came before, so that values beyond the limit mean a wrong unit.
-
-    Raises:
-        MagycError: the numbers of rows differ, or the unit is wrong.
-    """
-    if len(value) != len(stamps):
-        raise MagycError(f"{name}: {len(value)} rows for {len(stamps)} stamps")
-    absent = np.isnan(value).all(axis=1)
-    good = np.isfinite(stamps) & np.isfinite(value).all(axis=1)
-    refused = int((~good & ~absent).sum())
-    when, value = stamps[good], value[good]
-    beyond = np.abs(value).max(axis=1, initial=0.0) > limit
-    if first:
-        check_seconds("time", when)
-    if first and beyond.sum() > 0.5 * len(beyond):  # a wrong unit; after the first block it is a spike
-        row = int(beyond.argmax())
-        raise MagycError(
-            f"{name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} "
-            f"{'T' if name == 'magnetic_field' else 'rad/s'}; convert it, or read it in its unit "
-            f"({'magnetic_unit' if name == 'magnetic_field' else 'angular_unit'}=)"
+        self._first, left_out, *behind = state["count"].tolist()
+        self._left_out = int(left_out)
+        self._streams = tuple(
+            _Stream(name, last.copy(), float(step), int(count), state[f"quarantine/{name}"])
+            for name, last, step, count in zip(_NAMES, state["last"], state["step"], behind, strict=True)
         )
-    return when[~beyond], value[~beyond], refused + int(beyond.sum())
-
-
-def _ascending(name: str, rows: Array, last: float, behind: int) -> tuple[Array, Array, int]:
-    """Return stamps and values of the rows (n, 4) that ascend after the stamp `last`, and the new `behind`.
-
-    Raises:
-        MagycError: more than `_CONFIRMED_BY` rows in a row are later than `_LATE` allows, because a clock was set back.
-    """
-    when, value = rows[:, 0], rows[:, 1:]
-    if not len(when):
-        return when, value, behind
-    before = np.maximum.accumulate(np.concatenate([[last], when]))[:-1]
-    far, place = before - when > _LATE, np.arange(1, len(when) + 1)
-    since = np.maximum.accumulate(np.where(far, -behind, place))  # the last row before that was not far behind
-    run = place - since
-    if run.max() > _CONFIRMED_BY:
-        row = int(run.argmax())
-        raise MagycError(
-            f"{name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s and stays there; "
-            "if a clock was set, save the calibration and start a new run"
-        )
-    late = when <= before
-    return when[~late], value[~late], int(run[-1])
 
 
 def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
