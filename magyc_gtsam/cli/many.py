@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from magyc_gtsam import __version__
 from magyc_gtsam.cli.interrupts import explained
-from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, labels, shown, write_tables
+from magyc_gtsam.cli.many_table import AXES, COLUMNS, distinct_names, headline, labels, shown, write_tables
 from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder
 from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
 
@@ -31,12 +31,9 @@ def many(log: Path, more: Sequence[Path] | None) -> bool:
 
 def unique_names(logs: Sequence[Path]) -> list[str]:
     """Return a unique name for the folder of each log: its stem, with the names of its parents if needed."""
-    depth = 1
-    while True:
-        names = ["-".join([*log.parts[-depth:-1], log.stem]).strip("/") for log in logs]
-        if len(set(names)) == len(names) or depth > max(len(log.parts) for log in logs):
-            break
-        depth += 1
+    stems = [log.with_suffix("") for log in logs]
+    distinct = distinct_names(stems)
+    names = [distinct[stem].replace("/", "-").strip("-") for stem in stems]
     seen: dict[str, int] = {}
     for i, name in enumerate(names):
         seen[name] = seen.get(name, 0) + 1

@@ -52,7 +52,6 @@ class HistoryPosterior:
         hard_iron, covariance: (k, 3) µT and (k, 3, 3) of each h_k.
         cross: (k, 3, p) covariance of h_k with s.
         change: (k − 1, 3, 3) covariance of h_{k+1} − h_k.
-        log_likelihood: log-likelihood of the observations under flat priors on s and h_0, up to a constant.
     """
 
     shared: Array
@@ -61,7 +60,6 @@ class HistoryPosterior:
     covariance: Array
     cross: Array
     change: Array
-    log_likelihood: float
 
 
 def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Array, Array, Array]:
@@ -86,13 +84,12 @@ def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Arr
     return band, border, corner, right
 
 
-def solve(observed: Observations, step_variance: Array, *, marginals: bool = True) -> HistoryPosterior:
+def solve(observed: Observations, step_variance: Array) -> HistoryPosterior:
     """Return the posterior at given variances of the steps.
 
     Args:
         observed: the observations, at least one with information.
         step_variance: (k − 1,) µT², variance of each step on each axis.
-        marginals: whether to compute the covariances of the hard iron; otherwise they are empty.
     """
     k, p = len(observed), observed.shared
     band, border, corner, right = _assembled(observed, step_variance)
@@ -103,31 +100,14 @@ def solve(observed: Observations, step_variance: Array, *, marginals: bool = Tru
     shared = np.linalg.solve(schur, right[3 * k :] - border.T @ solved[:, p])
     hard_iron = (solved[:, p] - solved[:, :p] @ shared).reshape(k, 3)
 
-    residual = observed.mean - np.column_stack([np.tile(shared, (k, 1)), hard_iron])
-    step = np.diff(hard_iron, axis=0)
-    cost = float(np.einsum("ki,kij,kj->", residual, observed.information, residual))
-    cost += float(np.sum(np.sum(step**2, axis=1) / step_variance))
-    log_likelihood = -0.5 * (
-        cost
-        + 3 * float(np.log(step_variance).sum())
-        + 2 * float(np.log(factor[0]).sum())
-        + float(np.linalg.slogdet(schur)[1])
-    )
     shared_covariance = np.linalg.inv(schur)
-    empty = np.zeros((0, 3, 3))
-    if not marginals:
-        return HistoryPosterior(
-            shared, shared_covariance, hard_iron, empty, np.zeros((0, 3, p)), empty, log_likelihood
-        )
     given_shared, change = _marginals(band, 1 / step_variance)
     on_shared = solved[:, :p].reshape(k, 3, p)
     spread = np.einsum("kia,ab,kjb->kij", on_shared, shared_covariance, on_shared)
     moved = np.diff(on_shared, axis=0)
     change = change + np.einsum("kia,ab,kjb->kij", moved, shared_covariance, moved)
     cross = -np.einsum("kia,ab->kib", on_shared, shared_covariance)
-    return HistoryPosterior(
-        shared, shared_covariance, hard_iron, given_shared + spread, cross, change, log_likelihood
-    )
+    return HistoryPosterior(shared, shared_covariance, hard_iron, given_shared + spread, cross, change)
 
 
 def _marginals(band: Array, ties: Array) -> tuple[Array, Array]:

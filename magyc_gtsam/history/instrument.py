@@ -220,5 +220,4 @@ def _averaged(each: Sequence[HistoryPosterior], share: Array) -> HistoryPosterio
         mean([p.covariance for p in each], off, off),
         mean([p.cross for p in each], off, np.broadcast_to(off_shared[:, None], (*off.shape[:2], len(shared)))),
         mean([p.change for p in each], off_change, off_change),
-        float(share @ [p.log_likelihood for p in each]),
     )

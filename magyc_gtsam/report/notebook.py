@@ -42,7 +42,7 @@ def plot_calibration(calibration: Calibration, recording: Recording | None = Non
 
     recording = _recording_of(calibration, recording)
     history = field_history(recording, calibration)
-    figure = _figure(11.0, 6.6)
+    figure = _figure()
     halves: Any = figure.subfigures(2, 1)
     upper, lower = halves
     for part, plane in zip(upper.subfigures(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
@@ -63,7 +63,7 @@ def plot_gap(gap: Gap) -> Figure:
 
     later = {each.over: each for each in gap.after.maps}
     shown = [each for each in gap.before.maps if len(each.centre) > 1][:4]
-    figure = _figure(11.0, 6.6)
+    figure = _figure()
     halves: Any = figure.subfigures(2, 1)
     upper, lower = halves
     if len(gap.before.open_loop.time):
@@ -122,10 +122,10 @@ def _recording_of(calibration: Calibration, recording: Recording | None) -> Reco
     return recording
 
 
-def _figure(width: float, height: float) -> Figure:
+def _figure() -> Figure:
     """Return a figure of pyplot, which a notebook displays, closed so that it is displayed only once."""
     import matplotlib.pyplot as plt
 
-    figure = plt.figure(figsize=(width, height), layout="constrained")
+    figure = plt.figure(figsize=(11.0, 6.6), layout="constrained")
     plt.close(figure)
     return figure
