@@ -198,7 +198,7 @@ def test_a_channel_that_is_not_there_is_not_replaced_by_another() -> None:
 def test_a_term_of_an_earlier_form_is_refused(name: str, setting: dict[str, float]) -> None:
     """Its values would be taken for those of the present form."""
     saved = {"name": name, "value": [1.0], "covariance": [[1.0]], "setting": setting}
-    with pytest.raises(MagycError, match="form of version 0.1.0"):
+    with pytest.raises(MagycError, match="has an earlier form"):
         Term.from_dict(saved)
 
 

@@ -189,7 +189,7 @@ def _tone(s: Signals, setting: Setting) -> Array:
     return per_axis(np.stack([np.cos(phase), np.sin(phase)]))
 
 
-# Settings of version 0.1.0, in which the same values meant another form.
+# Settings of earlier forms, in which the same values meant something else.
 EARLIER = MappingProxyType({"saturation": "knee", "hysteresis": "width"})
 FORMS: Mapping[str, Form] = MappingProxyType(
     {

@@ -44,8 +44,8 @@ class Term:
             raise MagycError(f"term {self.name!r}: value and covariance must be finite")
         if EARLIER.get(self.name) in self.setting:
             raise MagycError(
-                f"term {self.name!r}: it has the form of version 0.1.0 (setting {EARLIER[self.name]!r}), which this "
-                "version does not have; diagnose the log again with `magyc-gtsam gap`"
+                f"term {self.name!r}: it has an earlier form (setting {EARLIER[self.name]!r}), which is not read "
+                "any more; diagnose the log again with `magyc-gtsam gap`"
             )
         value.flags.writeable = covariance.flags.writeable = False
         object.__setattr__(self, "value", value)
