@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from magyc_gtsam.blindtest.scenarios import MOTIONS
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import MILLIGAUSS, inject, simulate
-from magyc_gtsam.simulation.effects import EFFECTS
 from magyc_gtsam.simulation.environment import CHANNELS
 
 _NOISE = (10 * MILLIGAUSS, 5e-3)
@@ -51,19 +48,9 @@ def misfit(recording: Recording, noise: tuple[float, float]) -> float:
     return float(np.sqrt(max(2 * fit.reduced.cost, 0.0)))
 
 
-def table(
-    seeds: int = 4, motions: Sequence[str] = MOTIONS, progress: Callable[[float], None] = lambda _: None
-) -> dict[str, dict[str, float]]:
-    """Return {effect: {motion: median visibility over seeds}}."""
-    result: dict[str, dict[str, float]] = {}
-    for done, name in enumerate(EFFECTS):
-        result[name] = {m: _median(name, m, seeds) for m in motions}
-        progress((done + 1) / len(EFFECTS))
-    return result
-
-
 @lru_cache
-def _median(name: str, motion: str, seeds: int) -> float:
+def median_visibility(name: str, motion: str, seeds: int) -> float:
+    """Return the median visibility over seeds 0 to `seeds` − 1."""
     return float(np.median([visibility(name, motion, seed) for seed in range(seeds)]))
 
 
@@ -96,7 +83,7 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
             return np.inf  # the effect is so large that nothing fits
         return float(np.sqrt(max(2 * (fit.reduced.cost - base.reduced.cost) / base.colour, 0.0)))
 
-    factor, wanted = 1.0, _median(name, "wide", 4)
+    factor, wanted = 1.0, median_visibility(name, "wide", 4)
     tried: dict[float, float] = {}  # {factor: logarithmic distance from the required visibility}
     while factor not in tried and len(tried) < _ROUNDS:
         share = wanted / max(stands_out(factor), 0.2 * wanted)

@@ -26,7 +26,6 @@ class Study(str, Enum):
     REVIEW = "review"
     REAL_TRACKS = "real-tracks"
     GAP = "gap"
-    GAP_STRENGTHS = "gap-strengths"
     FAULTS = "faults"
     KNOWN = "known"
     DURATION = "duration"
@@ -45,7 +44,7 @@ def run(
             "(share of the data after which magyc-ifg stands still), dive-survey (its Fig. 3b), "
             "review (Table 2 and Figs 2 to 5 of the review of magnetometer-only methods; it takes 250 runs), "
             "real-tracks (its Fig. 6, and Tables IV and V of the Autocal paper, on logs of one unit), gap (blind test "
-            "of the gap workflow), gap-strengths (the strengths of its effects, and how visible they are), "
+            "of the gap workflow), "
             "faults (wrong and trusted, right, or refused under faults of sensors, clocks, surroundings and "
             "motion), known (skews of the chips; an earlier calibration and the field's strength as facts), "
             "duration (heading error against minutes and amplitude), autocal (Fig. 5 and 6 of the Autocal paper, and "
@@ -116,9 +115,7 @@ def run(
     first_seed: Annotated[
         int, typer.Option(min=0, help="efficiency, faults, known: seed of the first recording.")
     ] = 0,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Number of processes; efficiency and gap-strengths use one.")
-    ] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes; efficiency uses one.")] = 2,
     engine: Annotated[
         str,
         typer.Option(
@@ -152,7 +149,7 @@ def run(
             "-o",
             metavar="DIR",
             help="Folder of results, in which an interrupted study continues. Default: results/STUDY (gap: "
-            "results/blindtest). Not used by efficiency and gap-strengths.",
+            "results/blindtest). Not used by efficiency.",
         ),
     ] = None,
 ) -> int:
@@ -177,10 +174,6 @@ def run(
 
         seeds = range(first_seed, first_seed + runs)
         return faults(output or Path("results/faults"), seeds, motion, fault or (), by or (), workers, draw)
-    elif study is Study.GAP_STRENGTHS:
-        from magyc_gtsam.cli.study_gap import strengths
-
-        strengths(runs)
     else:
         from magyc_gtsam.cli import study_papers as papers
 

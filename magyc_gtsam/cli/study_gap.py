@@ -1,4 +1,4 @@
-"""`magyc-gtsam study gap` and `gap-strengths`: the blind test of the gap workflow."""
+"""`magyc-gtsam study gap`: the blind test of the gap workflow."""
 
 from __future__ import annotations
 
@@ -83,18 +83,3 @@ def blind_test(
         show("", *(f"{file}" for file in files))
         code |= not all(gate.passed for gate in measured)
     return int(code)
-
-
-def strengths(runs: int) -> None:
-    """Show the published strengths of the effects, and how far they stand out."""
-    from magyc_gtsam.blindtest.scenarios import MOTIONS
-    from magyc_gtsam.blindtest.visibility import table
-    from magyc_gtsam.simulation.effects import STRENGTHS
-
-    with stages() as stage:
-        measured = table(runs, MOTIONS, stage(f"{runs} recordings per effect and motion"))
-    rows = [
-        [name, strength.shown, *(f"{measured[name][m]:.0f}" for m in MOTIONS), strength.reason]
-        for name, strength in STRENGTHS.items()
-    ]
-    show_table(["effect", "strength × 1", *(f"σ, {m}" for m in MOTIONS), "because"], rows)

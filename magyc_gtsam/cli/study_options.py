@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _PAPERS = ("table-one", "settling", "dive-survey", "autocal", "review", "real-tracks")
 _USED_BY = {
     "runs": (
-        *("efficiency", "table-one", "settling", "dive-survey", "autocal", "review", "gap", "gap-strengths"),
+        *("efficiency", "table-one", "settling", "dive-survey", "autocal", "review", "gap"),
         *("faults", "known", "duration"),
     ),
     "disturbed": ("efficiency",),

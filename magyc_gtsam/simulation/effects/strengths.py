@@ -4,7 +4,7 @@
 and a gyroscope of 5 mrad/s, at pitch ±45° and ±5°; None where it has not been derived. The strengths are about sixteen
 of these on the wide motion, so that a quarter of a strength is at the limit of visibility; where an effect is far less
 visible at pitch ±5°, they are twelve of these there, unless no sensor has an error that large. The visibility of each
-effect after the twelve parameters have absorbed their part is measured by `magyc-gtsam study gap-strengths`.
+effect after the twelve parameters have absorbed their part is measured by benchmarks/gap_strengths.py.
 """
 
 from __future__ import annotations
