@@ -113,6 +113,16 @@ def test_increments_of_uneven_steps():
     assert wrong < lost / 10
 
 
+def test_increments_of_few_samples_keep_an_oscillation():
+    """Samples a second apart on average, at random, keep a period of 20 s to 1 %; by neighbours alone 5 % is lost."""
+    random = np.random.default_rng(0)
+    time, frequency = np.cumsum(random.exponential(1.0, 20000)), 0.3
+    rate = 0.3 * np.cos(frequency * time)[:, None] * [0, 1, 0]
+    true = np.diff(np.sin(frequency * time))
+    found = increments(time, rate + random.normal(0, 5e-3, rate.shape))[:, 1]
+    assert found @ true / (true @ true) == pytest.approx(1, abs=0.015)
+
+
 def test_increments_take_no_derivative_across_a_hole():
     """There the trapezoid is all that is known, and it is kept from neighbours that know more."""
     time = np.r_[0.0, 0.1, 0.2, 0.3, 5.0, 5.1, 5.2, 5.3]

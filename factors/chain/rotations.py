@@ -16,6 +16,9 @@ Spinor = tuple[Complex, Complex]
 _BLOCK = 16  # rotations chained sequentially before the blocks themselves are chained
 _SHORT = 3000  # number of rotations below which doubling is faster than blocks
 _HOLE = 10  # ratio of two neighbouring steps from which the longer one is a hole
+# Samples among which the third of a parabola is looked for. With samples at random times, one a second, the nearest is
+# often too close, and steps without their correction lose 5 % of an oscillation of 20 s; with three to choose from 1 %.
+_REACH = 3
 
 
 def exponential(rotation_vector: Array) -> Spinor:
@@ -56,14 +59,38 @@ def increments(time: Array, rate: Array, bias: Array | None = None) -> Array:
     if len(time) > 3:
         before, after = step[:-1], step[1:]
         near = np.maximum(before, after) < _HOLE * np.minimum(before, after)
+        near = near[1:] & near[:-1]
         change = (rate[:, 1:] - rate[:, :-1]) / step
         slope = change[:, :-1] + (before / (before + after)) * (change[:, 1:] - change[:, :-1])
-        result[:, 1:-1] -= (square[1:-1] * (near[1:] & near[:-1])) * (slope[:, 1:] - slope[:, :-1])
+        result[:, 1:-1] -= (square[1:-1] * near) * (slope[:, 1:] - slope[:, :-1])
+        uneven = 1 + np.flatnonzero(~near)
+        if len(uneven):
+            result[:, uneven] -= square[uneven] * _slope_changes(time, rate, uneven)
     (x0, y0, z0), (x1, y1, z1) = rate[:, :-1], rate[:, 1:]
     result[0] += square * (y0 * z1 - z0 * y1)
     result[1] += square * (z0 * x1 - x0 * z1)
     result[2] += square * (x0 * y1 - y0 * x1)
     return result.T
+
+
+def _slope_changes(time: Array, rate: Array, start: np.ndarray) -> Array:
+    """Return ω̇₁ − ω̇₀ (3, k) over the steps from the samples `start` (k,), beside shorter or longer ones.
+
+    The third sample of a parabola is the nearest that is not too close: the slope between close samples is noise, which
+    a long step multiplies by its square. Across a hole the result is zero.
+    """
+    step = time[start + 1] - time[start]
+    third, beyond = start - 1, start + 2
+    for _ in range(_REACH - 1):
+        third -= (_HOLE * (time[start] - time[third]) <= step) & (third > 0)
+        beyond += (_HOLE * (time[beyond] - time[start + 1]) <= step) & (beyond < len(time) - 1)
+    before, after = time[start] - time[third], time[beyond] - time[start + 1]
+    within = (rate[:, start + 1] - rate[:, start]) / step
+    first = (within - (rate[:, start] - rate[:, third]) / before) * (step / (before + step))
+    last = ((rate[:, beyond] - rate[:, start + 1]) / after - within) * (step / (step + after))
+    near = (np.maximum(before, after) < _HOLE * step) & (step < _HOLE * np.minimum(before, after))
+    result: Array = (first + last) * near
+    return result
 
 
 def multiply(first: Spinor, second: Spinor) -> Spinor:
