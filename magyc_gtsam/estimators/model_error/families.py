@@ -62,6 +62,7 @@ class ColumnFamily:
             windows resolve, and are to be removed.
         only_beside: whether it is added to the families that are shown instead of being fitted with them, because it
             resembles several of them and would take their place.
+        other_shapes: other columns for the same effect, by which the data may show it better than by `columns`.
     """
 
     name: str
@@ -81,6 +82,7 @@ class ColumnFamily:
     from_rate: bool = False
     mixed: bool = False
     only_beside: bool = False
+    other_shapes: tuple[Callable[[WindowMotion], UnmodelledColumns], ...] = ()
 
     def columns_of(self, motion: WindowMotion) -> UnmodelledColumns:
         """Return the columns of a motion; on the gyroscope they include the motion while the field was not measured."""

@@ -15,12 +15,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from magyc_gtsam.estimators.model_error.alternating import alternating
-from magyc_gtsam.estimators.model_error.component import Component, shown_by, tested
+from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, shown_by, tested
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
 from magyc_gtsam.estimators.model_error.physical import COARSE, PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array
@@ -128,6 +129,7 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
         if max(each.gain for each in every) <= suspect:
             break
         every += tested(beside, motion, [family for family in families if family.stage == stage])
+    every = [_of_likeliest_shape(beside, motion, each) if each.family.other_shapes else each for each in every]
     found = [each for each in every if each.gain > _SIGNIFICANT and not each.family.only_beside]
     found.sort(key=lambda each: -each.gain)
     shown = shown_by(beside, motion, found)
@@ -135,6 +137,14 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
     reported = tuple(c for c in averaged if c.share > _REPORTED_SHARE and c.gain > _REPORTED_GAIN)
     covariance = shown.covariance + sum((c.covariance for c in averaged), np.zeros_like(shown.covariance))
     return _of_theta(covariance, fit, shown.components + reported, [c for c in averaged if c not in reported])
+
+
+def _of_likeliest_shape(beside: ColumnProducts, motion: WindowMotion, shown: FamilyTest) -> FamilyTest:
+    """Return the test of a family that the data show with the columns, of all that it may have, that gain most."""
+    if shown.gain <= _SIGNIFICANT:
+        return shown
+    others = [replace(shown.family, columns=columns) for columns in shown.family.other_shapes]
+    return max([shown, *tested(beside, motion, others)], key=lambda each: each.gain)
 
 
 def _of_theta(
