@@ -27,7 +27,7 @@ _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowes
 # state. Even odds for a bend would widen it by a factor of 1.04 to 1.12; a 2 % bend would then still be missed in 11 of
 # 60 logs on moderate and on tiny motion, instead of in 15 and 19 (23 and 27 with COMMON odds).
 EVEN = 1.0  # effects of which another measured quantity gives the size
-LIKELY = 0.3  # errors stated as a share of the full scale: 0.1 % of 800 µT is 1.6 % of the field
+LIKELY = 0.15  # errors stated as a share of the full scale, of which the field is a small part
 COMMON = 0.1  # errors that every data sheet states as one number
 USUAL = 0.05  # errors of some sensors
 SELDOM = 0.02  # a field gradient with a lever arm, which hardly moves the parameters of a clean log
