@@ -24,8 +24,7 @@ _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowes
 # Prior odds of an effect. They determine the cost for clean logs (ten minutes at 10 Hz): the mean NEES falls from 11 by
 # 0.4 to 0.7, on tiny motion by 1.1, and the axis of hard iron and bias that is widened most is wider by a median factor
 # of 1.05 to 1.07, on tiny motion 1.13. The NEES is 11 over instruments that have such errors as often as these odds
-# state. Even odds for a bend would widen it by a factor of 1.04 to 1.12; a 2 % bend would then still be missed in 11 of
-# 60 logs on moderate and on tiny motion, instead of in 15 and 19 (23 and 27 with COMMON odds).
+# state. docs/fault_study.md compares priors of a bend.
 EVEN = 1.0  # effects of which another measured quantity gives the size
 LIKELY = 0.15  # errors stated as a share of the full scale, of which the field is a small part
 COMMON = 0.1  # errors that every data sheet states as one number
