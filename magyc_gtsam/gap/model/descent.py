@@ -16,10 +16,10 @@ from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.twin import Twin
 
 _STEPS = 8  # steps at most
-_SETTLED = 1e-2  # squared length of a step, in sigmas, below which the descent ends
+_SETTLED = 1e-2  # squared length of a step, in sigmas by the residuals of the model, below which the descent ends
 _REMEMBERED = 3  # earlier points of the acceleration
 _DAMPED = (1e-2, 1e-1, 1.0, 10.0)  # Levenberg–Marquardt damping that is tried where a step fails
-_ROUNDING = 0.5  # error of a cost, from second-order terms of the rotations
+_ROUNDING = 0.5  # error of a cost, relative to the misfit, from second-order terms of the rotations
 _FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear term
 _ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
 
@@ -46,17 +46,19 @@ def descended(twin: Twin, farthest: float = np.inf) -> Descent:
     path: list[tuple[Array, Array]] = []
     for _ in range(_STEPS):
         base = twin.base_columns
+        residual = twin.residual().ravel()
+        misfit = max(1.0, float(residual @ residual) / len(residual))
         precision, value = prior_of(twin)
-        gradient = base @ twin.residual().ravel() - twin.base_score_bias + precision * value
+        gradient = base @ residual - twin.base_score_bias + precision * value
         information = base @ base.T + np.diag(precision)
         if not np.isfinite(information).all() or (np.sqrt(precision) * np.abs(value)).max() > farthest:
             raise MagycError(f"the model with {', '.join(t.name for t in twin.model.terms)} has no possible fit")
         covariance = _inverse(information)
         step = -covariance @ gradient
-        if float(step @ information @ step) < _SETTLED:
+        if float(step @ information @ step) < _SETTLED * misfit:
             return Descent(twin, covariance, True)
         path = [*path[-_REMEMBERED:], (_values_of(twin.model), step)]
-        ahead = _advance(twin, _steps(path, information, gradient))
+        ahead = _advance(twin, _steps(path, information, gradient), _ROUNDING * misfit)
         if ahead is None:
             break
         twin = ahead
@@ -70,7 +72,7 @@ def _steps(path: Sequence[tuple[Array, Array]], information: Array, gradient: Ar
         yield -_inverse(information + np.diag(damping * np.diag(information))) @ gradient
 
 
-def _advance(twin: Twin, steps: Iterator[Array]) -> Twin | None:
+def _advance(twin: Twin, steps: Iterator[Array], rounding: float) -> Twin | None:
     """Return the twin after the first step with which the cost does not rise; None if no step helps."""
     for step in steps:
         try:
@@ -78,7 +80,7 @@ def _advance(twin: Twin, steps: Iterator[Array]) -> Twin | None:
         except MagycError:
             continue  # the step is too long: the chain cannot be factorised
         # The step includes the score bias of the gyroscope's terms (`Twin.rate_score_bias`), which the cost does not.
-        allowed = _cost(twin) + abs(float(twin.base_score_bias @ step)) + _ROUNDING
+        allowed = _cost(twin) + abs(float(twin.base_score_bias @ step)) + rounding
         for _ in range(_FOLLOWING if twin.model.bends else 0):
             if not allowed < _cost(ahead) < _ASTRAY * allowed:
                 break
