@@ -39,6 +39,7 @@ CATALOGUE = [
     "hard-iron-drift",
     "misalignment",
     "timing",
+    "axis-delays",
     "eddy-plane",
     "gyro-scale",
     "gyro-quadratic",

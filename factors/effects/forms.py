@@ -58,6 +58,11 @@ def _timing(s: Signals, setting: Setting) -> Array:
     return -s.need("field_rate")[None]
 
 
+def _axis_delays(s: Signals, setting: Setting) -> Array:
+    """Return the columns of the delays of y and z against x, to first order."""
+    return -per_axis(s.need("field_rate"))[[4, 8]]
+
+
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
     """Return the columns of eddy currents E = value normalᵀ.
 
@@ -205,6 +210,7 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "hard-iron-drift": Form("magnetometer", ("time",), changes.drift),
         "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
         "timing": Form("magnetometer", ("field_rate",), _timing),
+        "axis-delays": Form("magnetometer", ("field_rate",), _axis_delays),
         "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
         "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),
         "gyro-quadratic": Form("gyroscope", ("rate",), _gyro_quadratic),

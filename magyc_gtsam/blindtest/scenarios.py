@@ -25,7 +25,7 @@ RIVALS = (
     {"motor-current", "current-squared", "load-soft-iron"},
     {"hard-iron-step", "soft-iron-step", "local-anomaly"},
     {"misalignment", "gyro-scale", "gyro-quadratic", "cubic", "saturation"},
-    {"timing", "eddy-plane", "hysteresis", "sample-hold", "g-sensitivity", "field-gradient"},
+    {"timing", "axis-delays", "eddy-plane", "hysteresis", "sample-hold", "g-sensitivity", "field-gradient"},
     {"coloured-noise", "spikes", "tone", "quantisation", "sample-hold"},
     {"hard-iron-drift", "coloured-noise"},
     {"temperature-gyro", "g-sensitivity"},

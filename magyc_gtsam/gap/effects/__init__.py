@@ -22,6 +22,7 @@ TERMS: dict[str, EffectTerm] = {
         soft_iron.STEP,
         alignment.MISALIGNMENT,
         alignment.TIMING,
+        alignment.AXIS_DELAYS,
         alignment.EDDY_PLANE,
         gyroscope.SCALE,
         gyroscope.QUADRATIC,

@@ -53,6 +53,10 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
     return f"the magnetometer {late} the gyroscope by {measured(abs(value[0]), sigma[0])} ms"
 
 
+def _say_axis_delays(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the magnetometer's y and z axes are late against x by {vector(value, sigma)} ms"
+
+
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
     if "x" not in setting:
         most = float(np.abs(value).max())
@@ -84,11 +88,26 @@ TIMING = EffectTerm(
     scale=1e3,
     matters=5e-3,
     prior=1.0,
-    rivals=("hysteresis", "g-sensitivity", "eddy-plane"),
+    rivals=("hysteresis", "g-sensitivity", "eddy-plane", "axis-delays"),
     parameters=("delay",),
     say=_say_timing,
     motion="turn fast one way and the other, about more than one axis",
     products=("speed", "speed²"),
+)
+# A sensor that converts its axes one after the other, or filters them unequally, reads each at another time. What is
+# common to all axes is `TIMING`, so that one delay of all axes is never split. Eddy currents in a bent plate may have
+# the same matrix.
+AXIS_DELAYS = EffectTerm(
+    name="axis-delays",
+    label="unequal delays of the magnetometer's axes",
+    unit="ms",
+    scale=1e3,
+    matters=5e-3,
+    prior=1.0,
+    rivals=("timing", "eddy-plane", "hysteresis"),
+    parameters=AXES[1:],
+    say=_say_axis_delays,
+    motion="turn fast about all three axes, not about the vertical only",
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
@@ -97,7 +116,7 @@ EDDY_PLANE = EffectTerm(
     scale=1e3,
     matters=8e-3,
     prior=1.0,
-    rivals=("timing", "hysteresis"),
+    rivals=("timing", "hysteresis", "axis-delays"),
     parameters=AXES,
     say=_say_eddy,
     motion="turn fast about all three axes, not about the vertical only",

@@ -42,9 +42,17 @@ def _cubic(field: Array, scene: Scene, size: float, random: np.random.Generator)
     return field + size * share * 1.2 * part**3 / (1 + 0.2 * part**2), {"share": share}
 
 
+def _axis_delays(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Read the axes one after the other, in a random order, the last one later than the first by `size`."""
+    late = size * random.permutation([0.0, 0.5, 1.0])
+    read = [np.interp(scene.time - delay, scene.time, axis) for delay, axis in zip(late, field.T, strict=True)]
+    return np.column_stack(read), {"delays": late}
+
+
 EFFECTS = {
     "timing": SimulatedEffect(Stage.ELECTRONICS, _timing),
     "temperature-gain": SimulatedEffect(Stage.ELECTRONICS, _temperature_gain, ("temperature",)),
+    "axis-delays": SimulatedEffect(Stage.ELECTRONICS, _axis_delays),
     "saturation": SimulatedEffect(Stage.ELECTRONICS, _saturation),
     "cubic": SimulatedEffect(Stage.ELECTRONICS, _cubic),
 }

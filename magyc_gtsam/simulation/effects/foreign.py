@@ -12,13 +12,6 @@ from magyc_gtsam.simulation.scene import MILLIGAUSS, Scene, SimulatedEffect, Sta
 Result = tuple[Array, dict[str, Any]]
 
 
-def _axis_delays(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Read the axes one after the other, in a random order, the last one later than the first by `size`."""
-    late = size * random.permutation([0.0, 0.5, 1.0])
-    read = [np.interp(scene.time - delay, scene.time, axis) for delay, axis in zip(late, field.T, strict=True)]
-    return np.column_stack(read), {"delays": late}
-
-
 def _servo(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Add the magnet of a camera that pans against the heading between end stops at ±50°, with a sweep of its own."""
     assert scene.attitude is not None
@@ -72,7 +65,6 @@ def _vibration(rate: Array, scene: Scene, size: float, random: np.random.Generat
 
 
 EFFECTS = {
-    "axis-delays": SimulatedEffect(Stage.ELECTRONICS, _axis_delays),
     "servo-magnet": SimulatedEffect(Stage.IRON, _servo, attitude=True),
     "loose-magnet": SimulatedEffect(Stage.IRON, _loose, attitude=True),
     "axis-product": SimulatedEffect(Stage.ELECTRONICS, _product),

@@ -131,12 +131,12 @@ NAMED_STRENGTHS: dict[str, Strength] = {
     "gyro-bias-drift": Strength(
         1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that wanders over minutes"
     ),
-}
-
-FOREIGN_STRENGTHS: dict[str, Strength] = {
     "axis-delays": Strength(
         80 * _MS, "s, between the first axis and the last", "80 ms", "a multiplexed converter with a slow filter"
     ),
+}
+
+FOREIGN_STRENGTHS: dict[str, Strength] = {
     "servo-magnet": Strength(8 * MILLIGAUSS, "T", "8 mG", "the magnet of a panning camera, with end stops"),
     "loose-magnet": Strength(6 * MILLIGAUSS, "T", "6 mG", "a battery that rolls from side to side"),
     "axis-product": Strength(18 * MILLIGAUSS, "T at 500 mG", "18 mG at 500 mG", "cross-axis effect of a core"),
