@@ -44,7 +44,7 @@ def _commands() -> str:
 
 
 def _effects() -> str:
-    from magyc_gtsam.gap.effects import LABELS, TERMS
+    from magyc_gtsam.gap.effects import LABELS, PHYSICS, TERMS
 
     rows = [
         f"| [`{name}`](#{name}) | {term.label} | {term.unit} | {term.motion} |" for name, term in TERMS.items()
@@ -52,7 +52,10 @@ def _effects() -> str:
     parts = ["| name | what | unit | shown by |", "|---|---|---|---|", *rows, ""]
     for name, picture in _pictures(LABELS).items():
         label = LABELS[name]
-        parts += [f"### {label[0].upper()}{label[1:]} {{ #{name} }}", "", f"`{name}`", "", picture, ""]
+        rivals = ", ".join(f"[`{other}`](#{other})" for other in TERMS[name].rivals) if name in TERMS else ""
+        parts += [f"### {label[0].upper()}{label[1:]} {{ #{name} }}", "", f"`{name}`", "", PHYSICS[name], ""]
+        parts += [f"Confused with {rivals}.", ""] if rivals else []
+        parts += [picture, ""]
     return "\n".join(parts)
 
 

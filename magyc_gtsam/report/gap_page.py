@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from magyc_gtsam.gap.effects import PHYSICS
 from magyc_gtsam.gap.evidence.detectable import ENOUGH
 from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.result import Gap
@@ -52,6 +53,7 @@ def render_gap(
         significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant], explained=True),
         other_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if not h.significant], explained=True),
         effect_sentences=[said(sentence) for sentence in sentences(gap.effects)],
+        physics=PHYSICS,
         confusions=gap_words.confusion_sentences(gap),
         metric_header=gap_words.METRICS,
         metric_rows=gap_words.metric_rows(gap.before, gap.after),

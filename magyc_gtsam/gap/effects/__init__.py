@@ -48,6 +48,22 @@ LABELS: dict[str, str] = {name: term.label for name, term in TERMS.items()} | {
 }
 
 NAMES: tuple[str, ...] = tuple(LABELS)
+# What causes each effect, how it acts on the readings, and what resembles it.
+PHYSICS: dict[str, str] = {name: term.physics for name, term in TERMS.items()} | {
+    "coloured-noise": "A magnetometer's noise, or that of a supply near it, grows at low frequencies. Neighbouring "
+    "readings then share most of their error, so that averaging helps less. Slow drifts and a field that varies along "
+    "the way resemble it.",
+    "spikes": "Bus errors, relays and passing currents make single readings wrong. A few such readings would move a "
+    "least-squares fit. Many of them are another distribution of the noise.",
+    "tone": "Mains and switching supplies add a field that alternates. Sampled more slowly than it alternates, it "
+    "appears at another frequency. A line at the frequency of the motion is due to the motion.",
+    "quantisation": "A magnetometer of few bits, or a log of few digits, has coarse steps. The rounding error repeats "
+    "where the field changes slowly, and averaging does not remove it. Finer noise than the steps cannot be seen.",
+    "sample-hold": "A magnetometer that is slower than the log repeats its last value until the next one. The readings "
+    "are old by a varying time, on average by half of its period. A delay resembles it where the period is short.",
+    "axis-order": "Drivers and mountings exchange the axes of a sensor or turn them round. The two sensors then state "
+    "turns that do not belong together. No small error of alignment resembles it.",
+}
 # Functions of time alone, at times of one log.
 MOMENTS = (
     "hard-iron-step",
@@ -58,4 +74,4 @@ MOMENTS = (
     "local-anomaly",
 )
 
-__all__ = ["LABELS", "MOMENTS", "NAMES", "TERMS", "EffectTerm"]
+__all__ = ["LABELS", "MOMENTS", "NAMES", "PHYSICS", "TERMS", "EffectTerm"]

@@ -54,7 +54,7 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_axis_delays(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the magnetometer's y and z axes are late against x by {vector(value, sigma)} ms"
+    return f"against its x axis, the magnetometer's y and z axes lag by {vector(value, sigma)} ms"
 
 
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
@@ -72,6 +72,11 @@ def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
 MISALIGNMENT = EffectTerm(
     name="misalignment",
     label="misaligned magnetometer and gyroscope axes",
+    physics=(
+        "The chips of the two sensors, or the boards that they are on, are mounted at an angle of 0.3 to 3° "
+        "to each other. The gyroscope then states the turn in other axes than the magnetometer. A motion "
+        "about one axis cannot distinguish it from errors of the gyroscope's scale."
+    ),
     unit="mrad",
     scale=1e3,
     matters=5e-3,
@@ -84,6 +89,11 @@ MISALIGNMENT = EffectTerm(
 TIMING = EffectTerm(
     name="timing",
     label="magnetometer delay",
+    physics=(
+        "The magnetometer's reading is older than its stamp, because it is converted, filtered, and waits for "
+        "the bus. The field that is read is that of an earlier attitude. Eddy currents in metal around the "
+        "sensor, and hysteresis, lag in a similar way."
+    ),
     unit="ms",
     scale=1e3,
     matters=5e-3,
@@ -94,12 +104,14 @@ TIMING = EffectTerm(
     motion="turn fast one way and the other, about more than one axis",
     products=("speed", "speed²"),
 )
-# A sensor that converts its axes one after the other, or filters them unequally, reads each at another time. What is
-# common to all axes is `TIMING`, so that one delay of all axes is never split. Eddy currents in a bent plate may have
-# the same matrix.
 AXIS_DELAYS = EffectTerm(
     name="axis-delays",
     label="unequal delays of the magnetometer's axes",
+    physics=(
+        "A sensor that converts its axes one after the other, or filters them unequally, reads each at "
+        "another time. What is common to all axes is a delay of the magnetometer; this effect is what "
+        "remains. Eddy currents in a bent plate lag in the same way."
+    ),
     unit="ms",
     scale=1e3,
     matters=5e-3,
@@ -112,6 +124,12 @@ AXIS_DELAYS = EffectTerm(
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
     label="eddy currents in a plate",
+    physics=(
+        "A change of the field across a metal plate drives currents in it, whose own field opposes the "
+        "change. The reading lags for one direction of the field, by milliseconds near a phone's frame, by 60 "
+        "ms near a thick deck. A delay, which is the same for all directions, resembles it on motions about "
+        "one axis."
+    ),
     unit="ms",
     scale=1e3,
     matters=8e-3,

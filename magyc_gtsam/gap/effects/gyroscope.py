@@ -62,6 +62,11 @@ def _say_g(value: Array, sigma: Array, setting: Setting) -> str:
 SCALE = EffectTerm(
     name="gyro-scale",
     label="gyroscope scale and non-orthogonality",
+    physics=(
+        "The scale factor of a low-cost gyroscope is off by 1 to 3 %, and its axes are not orthogonal by up "
+        "to 1°. The stated turn is too large or too small in proportion. A misalignment and a scale that "
+        "depends on the rate resemble it where the vehicle turns about few axes."
+    ),
     unit="‰",
     scale=1e3,
     matters=4e-3,
@@ -75,6 +80,11 @@ SCALE = EffectTerm(
 QUADRATIC = EffectTerm(
     name="gyro-quadratic",
     label="gyroscope scale that depends on the rate",
+    physics=(
+        "The drive or the amplifier of a gyroscope is not linear: its scale grows or shrinks with the rate. "
+        "Fast turns are then off by a larger share than slow ones. At one rate it cannot be distinguished "
+        "from a scale error."
+    ),
     unit="ms/rad",
     scale=1e3,
     matters=0.02,
@@ -89,6 +99,11 @@ QUADRATIC = EffectTerm(
 TEMPERATURE = EffectTerm(
     name="temperature-gyro",
     label="gyroscope bias that depends on temperature",
+    physics=(
+        "The zero of a gyroscope depends on its temperature, by 0.005 to 0.05 °/s per kelvin. The bias "
+        "follows the thermometer, late by minutes where the thermometer is elsewhere. A temperature that only "
+        "rises looks like a drift of the bias."
+    ),
     unit="mrad/s per unit",
     scale=1e3,
     matters=1e-3,
@@ -101,11 +116,14 @@ TEMPERATURE = EffectTerm(
     refined=lagged_nearby,
     products=("rate",),
 )
-# A shock, a change of the supply or of the range, or a filter that starts anew moves a gyroscope's zero. The bias is
-# constant before and after. It is confused with a bias that warms, where the temperature jumps as well.
 BIAS_STEP = EffectTerm(
     name="gyro-bias-step",
     label="jump of the gyroscope's bias",
+    physics=(
+        "A shock, a change of the supply or of the range, or a filter that starts anew moves the zero of a "
+        "gyroscope. The bias is constant before and after. A bias that warms resembles it where the "
+        "temperature jumps, too."
+    ),
     unit="mrad/s",
     scale=1e3,
     matters=1e-3,
@@ -117,11 +135,14 @@ BIAS_STEP = EffectTerm(
     settings=step_times,
     refined=step_nearby,
 )
-# A gyroscope's zero wanders with its supply, its age and its warmth, over minutes. Without a thermometer it is what
-# remains of a bias that warms; a jump is confused with it.
 BIAS_DRIFT = EffectTerm(
     name="gyro-bias-drift",
     label="slow drift of the gyroscope's bias",
+    physics=(
+        "The zero of a gyroscope wanders with its supply, its age and its warmth, over minutes. The bias of a "
+        "whole recording is then a mean that holds nowhere exactly. Without a thermometer it includes what "
+        "follows the temperature."
+    ),
     unit="mrad/s",
     scale=1e3,
     matters=1e-3,
@@ -135,6 +156,11 @@ BIAS_DRIFT = EffectTerm(
 G_SENSITIVITY = EffectTerm(
     name="g-sensitivity",
     label="g-sensitivity of the gyroscope",
+    physics=(
+        "The moving mass of a gyroscope is deflected by acceleration, too, which the sensor takes for a turn, "
+        "by 0.01 to 0.4 °/s per g. The bias then depends on the attitude. In swells and on motions that pitch "
+        "in step with the turn it resembles a delay."
+    ),
     unit="mrad/s/g",
     scale=1e3,
     matters=5e-3,

@@ -148,6 +148,11 @@ def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
 MOTOR_CURRENT = EffectTerm(
     name="motor-current",
     label="magnetic field of a current",
+    physics=(
+        "A conductor is surrounded by a field in proportion to its current, by 2 µT at 10 cm from a single "
+        "wire with 1 A. The field is fixed to the vehicle, so that it adds to the hard iron with the measured "
+        "current. A load that is switched once looks like a jump."
+    ),
     unit="µT per unit",
     scale=1e6,
     matters=0.3e-6,
@@ -160,12 +165,14 @@ MOTOR_CURRENT = EffectTerm(
     refined=_circuits_nearby,
     products=("reading", "gain"),
 )
-# A converter or a motor bridge chops the current: the channel shows its mean, part of the field follows its power.
-# So do a winding's warmth and the bend of an iron core. It is confused with the current's own field, where the load
-# has one power only.
 SQUARED = EffectTerm(
     name="current-squared",
     label="magnetic field of a current's square",
+    physics=(
+        "A converter or a motor bridge chops the current: the channel shows its mean, while part of the field "
+        "follows its power. The warmth of a winding and the bend of an iron core do so as well. A load at one "
+        "power only does not show the difference to the current's own field."
+    ),
     unit="µT per unit²",
     scale=1e6,
     matters=0.3e-6,
@@ -181,6 +188,11 @@ SQUARED = EffectTerm(
 TEMPERATURE = EffectTerm(
     name="temperature-hard-iron",
     label="hard iron that depends on temperature",
+    physics=(
+        "Magnets lose 0.02 to 0.2 % of their field per kelvin, and the zero of a sensor depends on its "
+        "temperature. The hard iron then follows the thermometer, late by minutes where the warm part is "
+        "another one. A temperature that only rises looks like a drift."
+    ),
     unit="µT per unit",
     scale=1e6,
     matters=0.3e-6,
@@ -196,6 +208,11 @@ TEMPERATURE = EffectTerm(
 STEP = EffectTerm(
     name="hard-iron-step",
     label="jump of the hard iron",
+    physics=(
+        "A magnetic object near the sensor is moved, attached or taken off, or a load is switched. The hard "
+        "iron is constant before and after. Where the vehicle turns little on both sides, a drift or a passed "
+        "object explains as much."
+    ),
     unit="µT",
     scale=1e6,
     matters=0.3e-6,
@@ -212,6 +229,11 @@ STEP = EffectTerm(
 DRIFT = EffectTerm(
     name="hard-iron-drift",
     label="slow drift of the hard iron",
+    physics=(
+        "Steel is magnetised slowly by the field of the Earth and by shocks, and batteries change their field "
+        "as they are discharged. The hard iron moves along a line, or wanders over minutes. Without a "
+        "thermometer it includes what follows the temperature."
+    ),
     unit="µT",
     scale=1e6,
     matters=0.3e-6,

@@ -86,6 +86,11 @@ def _say_hysteresis(value: Array, sigma: Array, setting: Setting) -> str:
 SATURATION = EffectTerm(
     name="saturation",
     label="magnetometer saturation",
+    physics=(
+        "Beyond its full scale a sensor reads a constant, and a core saturates gradually before that. The "
+        "largest readings of an axis, often with a large hard iron, are then too small. A cubic non-linearity "
+        "also bends the largest readings, but the others as well."
+    ),
     unit="of what is beyond the level",
     scale=1.0,
     matters=0.3,
@@ -101,6 +106,11 @@ SATURATION = EffectTerm(
 CUBIC = EffectTerm(
     name="cubic",
     label="non-linear magnetometer",
+    physics=(
+        "A core, a bridge or an amplifier is not quite linear, by 0.1 to 1 % of the full scale. Each axis "
+        "reads too little or too much by the cube of what it measures. Where the axes see few values, errors "
+        "of scale and angle resemble it."
+    ),
     unit="µT at 50 µT",
     scale=1e6,
     matters=0.5e-6,
@@ -113,6 +123,11 @@ CUBIC = EffectTerm(
 HYSTERESIS = EffectTerm(
     name="hysteresis",
     label="magnetic hysteresis of nearby iron",
+    physics=(
+        "Unhardened steel keeps part of the magnetisation that the Earth's field gave it on the last heading. "
+        "The reading therefore depends on the direction from which a heading was reached. It lags as a delay "
+        "does, but by the same amount in slow turns and in fast ones."
+    ),
     unit="µT",
     scale=1e6,
     matters=0.3e-6,

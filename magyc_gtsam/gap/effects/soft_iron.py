@@ -26,12 +26,14 @@ def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
     return f"the soft iron changed by up to {np.abs(value).max():.2g} % at {when} s: steel was added, moved or removed"
 
 
-# The sensitivity of a coil, a core or a bridge depends on its temperature, by 0.02 to 0.3 % per kelvin without
-# compensation. It multiplies all that the sensor reads, also the field of the hard iron. A hard iron that depends on
-# temperature has the same mean over a full turn, and is confused with it where the hard iron is large.
 TEMPERATURE_GAIN = EffectTerm(
     name="temperature-gain",
     label="magnetometer gain that depends on temperature",
+    physics=(
+        "The sensitivity of a coil, a core or a bridge depends on its temperature, by 0.02 to 0.3 % per "
+        "kelvin without compensation. It multiplies all that the sensor reads, including the field of the "
+        "hard iron. Where the hard iron is large, one that depends on temperature looks the same."
+    ),
     unit="% per unit",
     scale=1e2,
     matters=6e-3,
@@ -43,11 +45,14 @@ TEMPERATURE_GAIN = EffectTerm(
     settings=lagged,
     refined=lagged_nearby,
 )
-# The current through a winding on an iron core moves the core along its magnetisation curve. The core's permeability
-# changes, and with it the field that it concentrates near the sensor. It is confused with the current's own field.
 LOAD = EffectTerm(
     name="load-soft-iron",
     label="soft iron that depends on a current",
+    physics=(
+        "The current through a winding on an iron core moves the core along its magnetisation curve. The "
+        "core's permeability changes, and with it the field that it concentrates near the sensor. On one "
+        "heading this looks like the current's own field."
+    ),
     unit="% per unit",
     scale=1e2,
     matters=6e-3,
@@ -58,11 +63,14 @@ LOAD = EffectTerm(
     motion="run the load at several powers on every heading",
     settings=circuits,
 )
-# A piece of steel without remanence concentrates the field and adds what depends on heading. Where it is brought near,
-# moved or taken off, the soft iron changes at once. It is confused with a jump of the hard iron on few headings.
 STEP = EffectTerm(
     name="soft-iron-step",
     label="jump of the soft iron",
+    physics=(
+        "A piece of steel without remanence concentrates the field and adds what depends on heading. Where it "
+        "is brought near, moved or taken off, the soft iron changes at once. On few headings this looks like "
+        "a jump of the hard iron."
+    ),
     unit="%",
     scale=1e2,
     matters=6e-3,

@@ -36,6 +36,7 @@ class EffectTerm:
     Attributes:
         name: row of the catalogue and of `factors.effects.FORMS`.
         label: the name in words.
+        physics: what causes it, how it acts on the readings, and what resembles it, in three sentences.
         unit, scale: shown value = SI value · scale, in `unit`.
         matters: the smallest value that matters, SI. For a value per unit of a channel, the effect of a change of the
             channel by its standard deviation in the recording.
@@ -56,6 +57,7 @@ class EffectTerm:
 
     name: str
     label: str
+    physics: str
     unit: str
     scale: float
     matters: float

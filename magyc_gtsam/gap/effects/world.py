@@ -66,6 +66,11 @@ def _say_anomaly(value: Array, sigma: Array, setting: Setting) -> str:
 GRADIENT = EffectTerm(
     name="field-gradient",
     label="field strength that changes with depth or position",
+    physics=(
+        "A wreck, a pier or magnetic rock changes the field's strength with depth or position. The reading "
+        "grows or shrinks by a share, in all axes. Only a recording that visits each depth on several "
+        "headings shows that it is not the attitude."
+    ),
     unit="% per unit",
     scale=1e2,
     matters=6e-3,
@@ -79,6 +84,11 @@ GRADIENT = EffectTerm(
 ANOMALY = EffectTerm(
     name="local-anomaly",
     label="magnetic object passed by",
+    physics=(
+        "Something magnetic that is fixed in the world is passed: a chain, a pipeline, reinforced concrete. "
+        "Its field adds to that of the Earth for some seconds, and its direction turns as it is passed. If "
+        "the vehicle does not turn meanwhile, it looks like two jumps of the hard iron."
+    ),
     unit="µT",
     scale=1e6,
     matters=0.5e-6,
