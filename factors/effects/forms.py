@@ -59,8 +59,8 @@ def _timing(s: Signals, setting: Setting) -> Array:
 
 
 def _axis_delays(s: Signals, setting: Setting) -> Array:
-    """Return the columns of the delays of y and z against x, to first order."""
-    return -per_axis(s.need("field_rate"))[[4, 8]]
+    """Return the columns of a delay of each axis, to first order."""
+    return -np.eye(3)[:, :, None] * s.need("field_rate")
 
 
 def _eddy_plane(s: Signals, setting: Setting) -> Array:

@@ -30,9 +30,8 @@ SEVERAL = "several names"
 # Without a thermometer what warms is equivalent to a slow drift.
 _FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",), "temperature-gyro": ("gyro-bias-drift",)}
 # Consequences that may be named in addition: the readings of a free-running magnetometer are half a log period old on
-# average, axes that are read one after the other are late on average, too, and the ripple of a motor controller's
-# current, which the current sensor does not follow, is a tone.
-_CONSEQUENCE = {"sample-hold": ("timing",), "axis-delays": ("timing",), "motor-current": ("tone",)}
+# average, and the ripple of a motor controller's current, which the current sensor does not follow, is a tone.
+_CONSEQUENCE = {"sample-hold": ("timing",), "motor-current": ("tone",)}
 
 
 @dataclass(frozen=True)

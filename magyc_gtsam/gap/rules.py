@@ -111,6 +111,9 @@ class Rules:
         0.12  # share lost beyond a level by clipping; a smaller loss is a slight bend, a gain is neither
     )
     bent_loss: float = 0.3  # share lost beyond a level by saturation over a knee; a cubic loses less
+    # share of the delays' squares that their differences have, below which they are one delay: axes that are read one
+    # after the other have 0.4; the two columns more of unequal delays took the place of BROAD 04's one delay
+    unequal: float = 0.1
     same_row: float = 0.99  # correlation above which two rows of a channel are the same
 
     # What could not be found.

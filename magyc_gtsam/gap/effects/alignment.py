@@ -8,6 +8,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.rules import RULES
 
 
 def directions() -> list[dict[str, float]]:
@@ -43,6 +44,11 @@ def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
     return "x" not in setting or float(np.array([setting[a] for a in AXES]) @ value) > 0
 
 
+def _unequal(twin: Twin, value: Array, setting: Setting) -> bool:
+    """Return whether the delays of the axes differ by more than one delay of all may deviate from its form."""
+    return float(np.square(value - value.mean()).sum()) > RULES.unequal * float(np.square(value).sum())
+
+
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
     angle = np.rad2deg(np.linalg.norm(value) * 1e-3)
     return f"the magnetometer is mounted {angle:.2f}° out of line with the gyroscope, about {vector(value, sigma)} mrad"
@@ -54,7 +60,7 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_axis_delays(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"against its x axis, the magnetometer's y and z axes lag by {vector(value, sigma)} ms"
+    return f"the magnetometer's axes lag the gyroscope by {vector(value, sigma)} ms on x, y, z"
 
 
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
@@ -109,17 +115,18 @@ AXIS_DELAYS = EffectTerm(
     label="unequal delays of the magnetometer's axes",
     physics=(
         "A sensor that converts its axes one after the other, or filters them unequally, reads each at "
-        "another time. What is common to all axes is a delay of the magnetometer; this effect is what "
-        "remains. Eddy currents in a bent plate lag in the same way."
+        "another time. Each axis then shows the field of its own earlier attitude. Eddy currents in a bent "
+        "plate lag in the same way, and delays that hardly differ are one delay."
     ),
     unit="ms",
     scale=1e3,
     matters=5e-3,
     prior=1.0,
     rivals=("timing", "eddy-plane", "hysteresis"),
-    parameters=AXES[1:],
+    parameters=AXES,
     say=_say_axis_delays,
     motion="turn fast about all three axes, not about the vertical only",
+    possible=_unequal,
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
