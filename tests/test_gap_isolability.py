@@ -82,7 +82,7 @@ def test_names_are_alone_where_a_search_tells_them_from_their_rivals(
     for name in ("timing", "temperature-hard-iron", "motor-current"):
         assert not wide[name].confused_with, name
     assert wide["temperature-hard-iron"].nameable
-    assert wide["gyro-quadratic"].confused_with["gyro-scale"] > 0.5
+    assert wide["gyro-quadratic"].confused_with["gyro-scale"] > 0.4
     assert "as temperature-hard-iron or hard-iron-drift" in tables["tiny"]["temperature-hard-iron"].sentence
     assert not tables["tiny"]["temperature-hard-iron"].nameable
 

@@ -25,7 +25,7 @@ from magyc_gtsam.simulation.effects import FOREIGN, NAMED
 EDITION = 303
 SECONDS, FACTOR = 120.0, 2.6
 CLEAN = 2
-PAIRS = {"wide": 0, "multi": 2}  # number of the pair that a motion takes
+PAIRS = {"wide": 0, "multi": 1}  # number of the pair that a motion takes
 WITHHELD = {("temperature-hard-iron", "moderate"): ("temperature",)}  # of a current see `test_gap_find`
 STANDING = {"rejected", "not enough information"}
 

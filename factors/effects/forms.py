@@ -1,9 +1,9 @@
 """The extra effects of the gap workflow: the contribution of each to a sensor's reading.
 
-A form is linear in its value, except for a rotation of axes: reading = base model + Σ value_k · column_k. The columns
-are a function of the available signals (time, field, rate, other channels) and of a setting that was searched over
-(the time of a step, the frequency of a tone). The same forms serve the evidence, the joint refit, the GTSAM factor
-(`effect_chain_factor`) and `Calibration.apply`.
+A form is linear in its value, except for a rotation of axes and for delays of single axes: reading = base model +
+Σ value_k · column_k. The columns are a function of the available signals (time, field, rate, other channels) and of a
+setting that was searched over (the time of a step, the frequency of a tone). The same forms serve the evidence, the
+joint refit, the GTSAM factor (`effect_chain_factor`) and `Calibration.apply`.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ class Form(NamedTuple):
     needs: tuple[str, ...]
     columns: Callable[[Signals, Setting], Array]
     rotates: bool = False  # the value is a rotation vector that is applied to the rate exactly, not to first order
+    # Columns per unit of half the square of each value, of a form that is followed to second order.
+    second: Callable[[Signals], Array] | None = None
 
     def evaluate(self, signals: Signals, value: Array, setting: Setting) -> Array:
         """Return the effect's contribution (3, n) to the reading, in T or rad/s."""
@@ -46,6 +48,8 @@ class Form(NamedTuple):
                 "recording must have the same channels as the one that was calibrated"
             )
         result: Array = np.tensordot(np.asarray(value, dtype=float), columns, axes=1)
+        if self.second is not None:
+            result += np.tensordot(0.5 * np.square(value), self.second(signals), axes=1)
         return result
 
 
@@ -59,8 +63,11 @@ def _timing(s: Signals, setting: Setting) -> Array:
 
 
 def _axis_delays(s: Signals, setting: Setting) -> Array:
-    """Return the columns of a delay of each axis, to first order."""
     return -np.eye(3)[:, :, None] * s.need("field_rate")
+
+
+def _curvature(s: Signals) -> Array:
+    return np.eye(3)[:, :, None] * np.gradient(s.need("field_rate"), s.need("time"), axis=1)
 
 
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
@@ -210,7 +217,7 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "hard-iron-drift": Form("magnetometer", ("time",), changes.drift),
         "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
         "timing": Form("magnetometer", ("field_rate",), _timing),
-        "axis-delays": Form("magnetometer", ("field_rate",), _axis_delays),
+        "axis-delays": Form("magnetometer", ("time", "field_rate"), _axis_delays, second=_curvature),
         "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
         "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),
         "gyro-quadratic": Form("gyroscope", ("rate",), _gyro_quadratic),

@@ -127,6 +127,7 @@ AXIS_DELAYS = EffectTerm(
     say=_say_axis_delays,
     motion="turn fast about all three axes, not about the vertical only",
     possible=_unequal,
+    contains=("timing",),
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",

@@ -42,6 +42,7 @@ class EffectTerm:
             channel by its standard deviation in the recording.
         prior: prior standard deviation of the value, in the unit of `matters`.
         rivals: names with which it is known to be confused.
+        contains: names of which it is the general case, so that one model has one of them only.
         parameters: name of each value; repeated for several rows of a channel.
         say: function that returns a sentence for a navigator from value, sigma (shown units) and setting.
         motion: the motion that would distinguish it from its rivals, in words for the helmsman.
@@ -70,6 +71,7 @@ class EffectTerm:
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: RULES.block
     most: int = 1
+    contains: tuple[str, ...] = ()
     possible: Callable[[Twin, Array, Setting], bool] = lambda twin, value, setting: True
     power: int = 1
     products: tuple[str, ...] = ()

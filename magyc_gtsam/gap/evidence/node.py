@@ -160,8 +160,10 @@ class Node:
         return tuple(sorted((*self.names, name)))
 
     def full(self, name: str) -> bool:
-        """Return whether the set contains an effect as often as it may."""
-        return self.names.count(name) >= TERMS[name].most
+        """Return whether the set contains an effect as often as it may, or a special or a general case of it."""
+        others = [TERMS[other] for other in self.names if other in TERMS]
+        nested = any(name in other.contains or other.name in TERMS[name].contains for other in others)
+        return nested or self.names.count(name) >= TERMS[name].most
 
 
 def related(one: str, other: str) -> bool:

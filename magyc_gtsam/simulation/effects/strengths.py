@@ -132,7 +132,7 @@ NAMED_STRENGTHS: dict[str, Strength] = {
         1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that wanders over minutes"
     ),
     "axis-delays": Strength(
-        80 * _MS, "s, between the first axis and the last", "80 ms", "a multiplexed converter with a slow filter"
+        60 * _MS, "s, between the first axis and the last", "60 ms", "a multiplexed converter with a slow filter"
     ),
 }
 
