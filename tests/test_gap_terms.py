@@ -130,7 +130,7 @@ def test_apply_gyroscope_takes_a_scale_out() -> None:
 
 
 def test_delays_of_axes_read_each_at_its_own_time() -> None:
-    """To second order: of delays of 50 to 100 ms in turns of 0.5 rad/s less than 1 in 500 remains, where the first order leaves 1 in 40."""
+    """To second order: of delays of 50 to 100 ms in turns of 0.5 rad/s less than 1 in 500 remains."""
     time = np.linspace(0, 20, 401)
     phase = 0.5 * time + np.array([0.0, 1.0, 2.0])[:, None]
     delay = np.array([0.05, 0.1, 0.08])
