@@ -290,6 +290,15 @@ def test_a_filtered_magnetometer_is_covered_or_not_trusted() -> None:
         assert not calibration.trusted or within(calibration, simulation.truth) < 16
 
 
+@pytest.mark.parametrize("seed", range(3, 9))
+def test_residuals_that_are_not_white_ask_for_every_family(seed: int) -> None:
+    """A current that is switched every half minute: in half of the logs the families that are tested first miss it."""
+    log = simulate("low", seed=seed).recording
+    switched = np.where(log.time % 60 < 30, 1e-6, 0.0)[:, None] * [0.6, 0.6, 0.5]
+    found = calibrate(replace(log, magnetic_field=log.magnetic_field + switched))
+    assert "drift:fast" in [each["name"] for each in found.diagnostics["model_error"]["components"]]
+
+
 @pytest.mark.parametrize("fault", ["reading bends", "gyroscope's scale"])
 def test_what_the_motion_does_not_show_is_in_the_sigma(fault: str) -> None:
     """On tiny a bend of 1 % or a scale of 1 % gains little and moves the hard iron by a sigma of the sensors' noise."""

@@ -30,8 +30,11 @@ from magyc_gtsam.factors.chain.rotations import Array
 _SIGNIFICANT = 7.0
 # Gain of any family tested so far from which those of stage 1, then those of stage 2 are tested. Of 1,050 logs with a
 # simulated fault that a family shows (gain above `_SIGNIFICANT`), stage 0 passes all but 5; of 864 that one of stage 2
-# shows, the others pass all but 20 (17 with 3 nats). Clean logs exceed them in one of 6 and one of 100.
+# shows, the others pass all but 20 (17 with 3 nats). Clean logs exceed them in one of 6 and one of 100. A fit that is
+# doubted by its own residuals (`_doubted`) needs no such gain.
 _SUSPECT = (2.0, 4.0)
+# Mean weight of windows or links below which a fit is doubted: 1 on clean logs, 0.9984 at worst in 300.
+_ALL_TRUSTED = 0.995
 _LEAST_WINDOWS = 30
 _HARD_IRON = slice(6, 9)
 _REPORTED_SHARE = 0.8  # probability above which an averaged effect is reported as present,
@@ -125,8 +128,9 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
     families = [family for family in FAMILIES if family.name not in estimated]
     physical = [family for family in (*PHYSICAL, *([COARSE] if step else [])) if family.name not in estimated]
     every = tested(beside, motion, [*physical, *(family for family in families if family.stage == 0)])
+    doubted = _doubted(fit)
     for stage, suspect in enumerate(_SUSPECT, 1):
-        if max(each.gain for each in every) <= suspect:
+        if stage > doubted and max(each.gain for each in every) <= suspect:
             break
         every += tested(beside, motion, [family for family in families if family.stage == stage])
     every = [_of_likeliest_shape(beside, motion, each) if each.family.other_shapes else each for each in every]
@@ -137,6 +141,17 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
     reported = tuple(c for c in averaged if c.share > _REPORTED_SHARE and c.gain > _REPORTED_GAIN)
     covariance = shown.covariance + sum((c.covariance for c in averaged), np.zeros_like(shown.covariance))
     return _of_theta(covariance, fit, shown.components + reported, [c for c in averaged if c not in reported])
+
+
+def _doubted(fit: Fit) -> int:
+    """Return the last stage that the fit by itself asks for, whatever the stages before it gain.
+
+    Residuals that are not white, or partly rejected, come from something. Boards may be misaligned, but a field that
+    varies with the attitude (stage 1) looks alike.
+    """
+    if fit.colour > 1 or min(fit.weights.window.mean(), fit.weights.link.mean()) < _ALL_TRUSTED:
+        return len(_SUSPECT)
+    return 1 if fit.skew is not None and fit.skew.decided else 0
 
 
 def _of_likeliest_shape(beside: ColumnProducts, motion: WindowMotion, shown: FamilyTest) -> FamilyTest:
