@@ -148,6 +148,7 @@ EDDY_PLANE = EffectTerm(
     motion="turn fast about all three axes, not about the vertical only",
     settings=_plates,
     possible=_holds_back,
+    contains=("axis-delays",),
     refined=_plates_nearby,
     products=("speed", "speed²"),
 )
