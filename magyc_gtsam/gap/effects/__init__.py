@@ -74,4 +74,10 @@ MOMENTS = (
     "local-anomaly",
 )
 
-__all__ = ["LABELS", "MOMENTS", "NAMES", "PHYSICS", "TERMS", "EffectTerm"]
+
+def nested(one: str, other: str) -> bool:
+    """Return whether one of two effects of the catalogue is the general case of the other."""
+    return one in TERMS and other in TERMS and (one in TERMS[other].contains or other in TERMS[one].contains)
+
+
+__all__ = ["LABELS", "MOMENTS", "NAMES", "PHYSICS", "TERMS", "EffectTerm", "nested"]

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import TERMS, nested
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates
 from magyc_gtsam.gap.evidence.laplace import Explained, Terms
@@ -161,9 +161,7 @@ class Node:
 
     def full(self, name: str) -> bool:
         """Return whether the set contains an effect as often as it may, or a special or a general case of it."""
-        others = [TERMS[other] for other in self.names if other in TERMS]
-        nested = any(name in other.contains or other.name in TERMS[name].contains for other in others)
-        return nested or self.names.count(name) >= TERMS[name].most
+        return self.names.count(name) >= TERMS[name].most or any(nested(name, other) for other in self.names)
 
 
 def related(one: str, other: str) -> bool:

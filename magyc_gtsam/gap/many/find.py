@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.effects import MOMENTS, TERMS
+from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.many.described import AddedEffect, told
@@ -104,7 +104,8 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
 def _step(state: _State, more: bool) -> tuple[_State, bool]:
     """Test all effects, and add the strongest or leave out logs with an unknown effect; return whether to continue."""
     had = [each.name for each in state.added]
-    asked = [name for name in state.names if name in TERMS and name not in had]
+    free = [name for name in state.names if name in TERMS and name not in had]
+    asked = [name for name in free if not any(nested(name, other) for other in had)]
     weighed = _look(state.logs, asked)
     state = replace(state, weighed=weighed)
     strongest = weighed[0]
