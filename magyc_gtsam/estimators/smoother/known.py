@@ -244,7 +244,9 @@ def typical_matrix(parameters: Array) -> IronFact:
 def remedies(
     fit: Fit, factor: float, enough: Callable[[Array], bool], options: SmootherOptions, recording: Recording
 ) -> list[str]:
-    """Return a sentence on facts that would compensate for too little motion, the cheapest first, with their sigmas.
+    """Return a sentence on facts that would compensate for too little motion, the cheapest first.
+
+    Each has the sigma that the sensors' noise would leave; what the model may lack is known only with the facts.
 
     Args:
         fit: at its minimum.
@@ -277,5 +279,5 @@ def remedies(
         covariance = inverse_information(information, fit.free[:PARAMETERS])
         if enough(covariance):
             worst = 1e6 * np.sqrt(max(float(np.linalg.eigvalsh(covariance[6:9, 6:9])[-1]), 0.0))
-            found.append(f"{name} ({options_of}: hard iron ±{worst:.2g} µT)")
+            found.append(f"{name} ({options_of}: hard iron ±{worst:.2g} µT by sensor noise)")
     return [f"{ENOUGH} {', or with '.join(found)}"] if found else []
