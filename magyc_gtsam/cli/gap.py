@@ -219,14 +219,16 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
     """Test the model before and after on another log."""
-    from magyc_gtsam.gap.validation import agreement, differences, swept
+    from magyc_gtsam.gap.validation import SWEPT, agreement, differences, swept
     from magyc_gtsam.report.gap_verdict import Validation
 
     found = agreement(recording, gap.base, *([] if gap.after is gap.before else [gap.calibration]))
     progress(0.6)
-    differing = differences(recording, gap.calibration)
+    sweep, strength = swept(recording), gap.calibration.field_strength
+    assert strength is not None  # a calibration without it agrees with nothing
+    differing = differences(recording, gap.calibration) if sweep >= SWEPT * strength else ()
     progress(1.0)
-    return Validation(log.name, swept(recording), found[0], found[-1], differing)
+    return Validation(log.name, sweep, found[0], found[-1], differing)
 
 
 def _values(gap: Gap, validation: Validation | None, judged: Verdict) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from magyc_gtsam.recording import Recording
 _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
+SWEPT = 0.5  # share of the field; smallest sweep of a recording that can validate
 # Terms that belong to the time or place of one recording do not apply to another.
 _OF_ONE_RECORDING = (*MOMENTS, "tone")
 

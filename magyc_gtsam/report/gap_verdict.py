@@ -13,13 +13,13 @@ from magyc_gtsam.gap.outcome.agreement import Metrics
 from magyc_gtsam.gap.outcome.doubt import with_doubt
 from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Moved
+from magyc_gtsam.gap.validation import SWEPT
 from magyc_gtsam.report.verdict import Verdict, said
 
 _WORSE = 0.005  # loss in nats per window that the correction may cause on the other recording
 _BETTER = 0.98  # ratio of prediction errors with and without correction, below which the correction helps there
 _NOISIER = 1.25  # ratio of the noise levels from which they count as different
 _FOREIGN = 0.1  # share of the field; a larger prediction error means another instrument, not a missing effect
-_SWEPT = 0.5  # share of the field; smallest sweep of a recording that can validate
 MOST_EFFECTS = 3  # largest number of effects named singly in the verdict
 _TITLES = {
     "none": "Nothing was found missing",
@@ -68,13 +68,13 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
             ),
             "",
         )
-    if validation.swept < _SWEPT * strength:
+    if validation.swept < SWEPT * strength:
         return (
             f"{name} cannot be judged by",
             Doubt(
                 f"its field swept {validation.swept * 1e6:.1f} µT", "give a log that turns through all headings"
             ),
-            f"at least {_SWEPT * strength * 1e6:.0f} µT are needed for iron and gyroscope to show",
+            f"at least {SWEPT * strength * 1e6:.0f} µT are needed for iron and gyroscope to show",
         )
     fails = f"The result does not hold on {name}"
     if loop.rms > max(_FOREIGN * strength, 3 * loop.floor, 2 * gap.after.open_loop.rms):
