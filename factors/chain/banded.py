@@ -2,40 +2,54 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, ztbtrs
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array, Complex
 
 
-class UnitFactor(NamedTuple):
-    """A Cholesky factor L = U D in the form that the solutions need: U (4, m), complex, with unit diagonal, and 1/D
-    (m,).
+@dataclass(frozen=True, eq=False)
+class BandFactor:
+    """A Cholesky factor L in the form that the solutions need.
+
+    Attributes:
+        columns: (m, 4) its columns from the diagonal down.
+        inverse: (m,) reciprocals of its diagonal D.
     """
 
-    unit: Complex
+    columns: Array
     inverse: Array
 
     @classmethod
-    def of(cls, factor: Array) -> UnitFactor:
-        """Split the factor L (4, m), in lower form with the diagonal first."""
-        inverse = 1 / factor[0]
-        unit = np.empty(factor.shape, complex, order="F")
+    def of(cls, factor: Array) -> BandFactor:
+        """Take the factor L (4, m), in lower form with the diagonal first."""
+        return cls(np.ascontiguousarray(factor.T), 1 / factor[0])
+
+    @cached_property
+    def unit(self) -> Complex:
+        """U (4, m) of L = U D, complex, with unit diagonal."""
+        unit = np.empty(self.columns.shape[::-1], complex, order="F")
         unit.imag = 0.0
-        np.multiply(factor, inverse, out=unit.real)
-        return cls(unit, inverse)
+        np.multiply(self.columns.T, self.inverse, out=unit.real)
+        return unit
 
 
-def forward_solved(factor: UnitFactor, border: Array) -> Array:
+def forward_solved(factor: BandFactor, border: Array) -> Array:
     """Return L⁻¹ c (k, 2n) for columns c, given by the two tangents of each window (k, 2, n).
 
-    Two columns are solved at a time, as real and imaginary part: LAPACK processes one column after the other in a
-    short loop of calls, so that a complex column costs little more than a real one. The unit diagonal saves a
+    In numpy two columns are solved at a time, as real and imaginary part: LAPACK processes one column after the other
+    in a short loop of calls, so that a complex column costs little more than a real one. The unit diagonal saves a
     division per entry.
     """
     count, _, n = border.shape
+    if compiled.loops:
+        result = np.empty((count, 2 * n))
+        compiled.loops.forward(n, factor.columns, factor.inverse, compiled.given(border), result)
+        return result
     pairs, rest = -(-count // 2), count // 2
     both = np.empty((pairs, n, 2), complex)
     if rest < pairs:
@@ -50,9 +64,13 @@ def forward_solved(factor: UnitFactor, border: Array) -> Array:
     return result
 
 
-def backward_solved(factor: UnitFactor, columns: Array) -> Array:
+def backward_solved(factor: BandFactor, columns: Array) -> Array:
     """Return L⁻ᵀ c (k, 2, n) for columns c (k, 2n), in the same way."""
     count, size = columns.shape
+    if compiled.loops:
+        result = np.empty((count, 2, size // 2))
+        compiled.loops.backward(size // 2, factor.columns, factor.inverse, compiled.given(columns), result)
+        return result
     pairs, rest = -(-count // 2), count // 2
     both = np.empty((pairs, size), complex)
     if rest < pairs:

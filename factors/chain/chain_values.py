@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, inverse_blocks
+from magyc_gtsam.factors.chain import compiled
+from magyc_gtsam.factors.chain.banded import BandFactor, backward_solved, inverse_blocks
 from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices
 from magyc_gtsam.factors.chain.vech import unvech
 
@@ -76,6 +77,16 @@ class Reduced(NamedTuple):
         It is the trace of the windows' block of the hat matrix; `covariance` (p, p) is the inverse of the information
         (zeros for fixed parameters).
         """
+        if compiled.loops:
+            factor = self._band_factor
+            return float(
+                compiled.loops.absorbed(
+                    self.basis.shape[2],
+                    factor.columns,
+                    factor.inverse,
+                    *map(compiled.given, (self.on_direction, self.on_parameters, self.half[:, :-1].T, covariance)),
+                )
+            )
         s00, s01, s11 = inverse_blocks(self.band, self.factor)
         j0, j1 = self.on_direction[:, 0], self.on_direction[:, 1]
         inner = np.vdot((j0 * j0).sum(axis=0), s00) + np.vdot((j1 * j1).sum(axis=0), s11)
@@ -91,9 +102,13 @@ class Reduced(NamedTuple):
         return slopes
 
     @property
+    def _band_factor(self) -> BandFactor:
+        return BandFactor.of(self.factor)
+
+    @property
     def _solved(self) -> Array:
         """H⁻¹ C (p, 2, n)."""
-        return backward_solved(UnitFactor.of(self.factor), self.half[:, :-1].T)
+        return backward_solved(self._band_factor, self.half[:, :-1].T)
 
 
 def iron_matrix(parameters: Array) -> Array:

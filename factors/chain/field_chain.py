@@ -24,24 +24,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
-from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
+from magyc_gtsam.factors.chain import compiled
+from magyc_gtsam.factors.chain.banded import BandFactor
 from magyc_gtsam.factors.chain.chain_values import (
     DELAY,
-    PARAMETERS,
-    SKEW,
-    WITH_SKEW,
     ChainState,
     Reduced,
     Residuals,
     SensorNoise,
     Weights,
     iron_matrix,
-    skew_rotation,
 )
 from magyc_gtsam.factors.chain.directions import DirectionModel, LinearisedSensor, QuadraticPrior, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
-from magyc_gtsam.factors.chain.rotations import Array, cross, right_jacobian, skew
+from magyc_gtsam.factors.chain.linearisation import Linearised
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 _SETTLING = 20  # largest number of Gauss–Newton steps of the directions alone
@@ -139,40 +137,16 @@ class FieldChain:
         Raises:
             MagycError: a window's direction has no finite curvature.
         """
-        parameters, g = state
-        size, n = len(parameters), g.shape[1]
-        sight = self._sight(state, weights)
-        linear = sight.at(g)
-        on_direction = linear.on_direction
-        columns = self._on_parameters(parameters, g, linear.body, sight.scale)
-        columns[size] = linear.window[:, 0]
-        on_parameters = columns[:size]
-
-        # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
-        links = np.empty((4, 3, n - 1))  # Jacobians on the bias, and the residual
-        on_bias = cross(self.windows.lever, linear.turned[:, 0, None], out=links[:3].swapaxes(0, 1))
-        links[3] = linear.link[:, 0]
-
-        # The matrix H of the directions in 2×2 blocks, and its border [C, gradient].
-        border = np.empty((size + 1, 2, n))
-        band, border[size] = linear.normal_equations()
-        np.einsum("ian,pin->pan", on_direction, on_parameters, out=border[:size])
-        border[9:12, :, 1:] += np.einsum("ian,pin->pan", linear.after, links[:3])
-        border[9:12, :, :-1] -= np.einsum("ian,pin->pan", linear.turned[:, 1:], links[:3])
-        # No matrix is multiplied by its own transpose: BLAS uses a special routine for that, which is half as fast at
-        # this size.
-        flat, flat_links = columns.reshape(size + 1, -1), links.reshape(4, -1)
-        products = flat[:size] @ flat.T
-        information, gradient = products[:, :size], products[:, size]
-        of_links = flat_links[:3] @ flat_links.T
-        information[9:12, 9:12] += of_links[:, :3]
-        gradient[9:12] += of_links[:, 3]
-        cost = 0.5 * float(flat[size] @ flat[size] + flat_links[3] @ flat_links[3])
-
+        parameters, size = state.parameters, len(state.parameters)
+        linear = Linearised.of(self.windows, state, self._sight(state, weights))
         known = self.known(state, linear.basis)
         if known is not None:
-            known.onto_first(band, border[size])
-            border[:size, :, 0] += known.information[:size, size:]
+            known.onto_first(linear.band, linear.border[size])
+            linear.border[:size, :, 0] += known.information[:size, size:]
+        products, cost, factor, absorbed, failed = linear.eliminated()
+        self._check(failed)
+        information, gradient = products[:size, :size], products[:size, size]
+        if known is not None:
             information += known.information[:size, :size]
             gradient += known.gradient[:size]
             cost += known.cost
@@ -181,48 +155,20 @@ class FieldChain:
             cost += believed[0]
             gradient += believed[1]
             information += believed[2]
-
-        factor = self._factor(band)
-        absorbed = forward_solved(UnitFactor.of(factor), border)  # (L⁻¹ [C, gradient])ᵀ
-        products -= absorbed[:size] @ absorbed.T
         return Reduced(
             cost,
             information,
             gradient,
             linear.basis,
-            on_direction,
-            -linear.turned[:, 1:],
+            linear.on_direction,
+            linear.before,
             linear.after,
-            on_parameters,
-            on_bias,
-            band.T,
+            linear.columns[:size],
+            linear.links[:3].swapaxes(0, 1),
+            linear.band.T,
             factor,
             absorbed.T,
         )
-
-    def _on_parameters(self, parameters: Array, g: Array, body: Array, scale: Array) -> Array:
-        """Return the windows' whitened Jacobian (p + 1, 3, n) on θ, r = S Exp(ε) M g + h − m, with room for r.
-
-        `body` is M g times `scale`.
-        """
-        size, n = len(parameters), g.shape[1]
-        matrix, whitened = iron_matrix(parameters), g * scale
-        x, y, z = body if size == PARAMETERS else skew_rotation(parameters) @ body
-        result = np.zeros((size + 1, 3, n))
-        result[0, 0] = result[1, 1] = result[2, 2] = x
-        result[1, 0] = result[3, 1] = result[4, 2] = y
-        result[2, 0] = result[4, 1] = result[5, 2] = z
-        result[6, 0] = result[7, 1] = result[8, 2] = scale
-        swung = np.einsum("ijkn,jn->ikn", self.windows.rotation_bias, whitened)
-        result[9:12] = (matrix @ swung.reshape(3, -1)).reshape(3, 3, n).swapaxes(0, 1)
-        result[DELAY] = matrix @ np.einsum("ijn,jn->in", self.windows.rotation_rate, whitened)
-        if size == WITH_SKEW:
-            # Exp(ε + δ) v = Exp(ε) (v + J δ × v), J the right Jacobian.
-            axes = skew(right_jacobian(parameters[SKEW]).T)
-            result[SKEW] = ((matrix @ axes).reshape(9, 3) @ body).reshape(3, 3, n)
-        if self.bend is not None:
-            result *= self.bend.answer
-        return result
 
     def _target(self, hard_iron: Array) -> Array:
         """Return what B M g (3, n) T should be, times the answer of the sensor where it bends."""
@@ -233,6 +179,12 @@ class FieldChain:
 
     def move(self, state: ChainState, reduced: Reduced, step: Array) -> ChainState:
         """Return the state after a step on θ; the directions follow by back-substitution."""
+        if compiled.loops:
+            factor, n = BandFactor.of(reduced.factor), state.direction.shape[1]
+            room, moved = np.empty(2 * n), np.empty((3, n))
+            inputs = map(compiled.given, (reduced.half.T, step, reduced.basis, state.direction))
+            compiled.loops.move(n, factor.columns, factor.inverse, *inputs, room, moved)
+            return ChainState(state.parameters + step, moved)
         pull = reduced.half[:, -1] + reduced.half[:, :-1] @ step
         tangent, _ = dtbtrs(reduced.factor, pull, uplo="L", trans="T")
         return ChainState(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
@@ -283,13 +235,17 @@ class FieldChain:
     def _factor(self, band: Array) -> Array:
         """Return the Cholesky factor (4, 2n) of a band (2n, 4)."""
         factor, failed = dpbtrf(band.T, lower=1)
+        self._check(failed)
+        return np.asarray(factor)
+
+    def _check(self, failed: int) -> None:
+        """Raise an error if the matrix of the directions has no factor, from a row on."""
         if failed:
             window = (failed - 1) // 2
             raise MagycError(
                 f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
                 "its weight or its noise is out of range"
             )
-        return np.asarray(factor)
 
     def rotation(self, parameters: Array) -> Array:
         """Return M (3, 3, n) at θ: the rotation from the integrated world to the sensor, averaged over each window."""

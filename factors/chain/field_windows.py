@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices, matrices
@@ -173,6 +174,12 @@ class FieldWindows:
         """
 
         def moved() -> Array:
+            if compiled.loops:
+                change = np.append(bias - self.bias, delay - self.delay)
+                parts = map(compiled.given, (self.rotation, self.rotation_bias, self.rotation_rate))
+                result = np.empty(self.rotation.shape)
+                compiled.loops.rotate(len(self), *parts, change, result)
+                return result
             result = np.einsum("ijkn,k->ijn", self.rotation_bias, bias - self.bias)
             result += self.rotation
             if delay != self.delay:
@@ -183,11 +190,16 @@ class FieldWindows:
 
     def turn_at(self, bias: Array) -> Array:
         """Return E = Exp(−ΔK (b − b₀)) (3, 3, n − 1) from one window to the next; cached in the same way."""
-        return self._kept(
-            "turn",
-            bias.tobytes(),
-            lambda: exponential_matrices(np.einsum("ijn,j->in", self.lever, self.bias - bias)),
-        )
+
+        def turned() -> Array:
+            change = self.bias - bias
+            if compiled.loops:
+                result = np.empty(self.lever.shape)
+                compiled.loops.turn(self.lever.shape[2], compiled.given(self.lever), change, result)
+                return result
+            return exponential_matrices(np.einsum("ijn,j->in", self.lever, change))
+
+        return self._kept("turn", bias.tobytes(), turned)
 
     @cached_property
     def spread(self) -> float:

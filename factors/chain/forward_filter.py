@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
+from magyc_gtsam.factors.chain.banded import BandFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
@@ -30,7 +30,7 @@ class ForwardFilter(NamedTuple):
     before: Array
     after: Array
     factor: Array
-    unit: UnitFactor
+    unit: BandFactor
     below: Array
     ahead: Array
     seen: Array
@@ -68,7 +68,7 @@ class ForwardFilter(NamedTuple):
             np.ascontiguousarray(before),
             np.ascontiguousarray(after),
             factor,
-            UnitFactor.of(factor),
+            BandFactor.of(factor),
             below,
             ahead,
             np.ascontiguousarray(seen),

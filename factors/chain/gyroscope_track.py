@@ -13,10 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import (
     Array,
     Spinor,
-    chain,
+    chained,
     exponential,
     increments,
     matrices,
@@ -110,7 +111,7 @@ class GyroscopeTrack:
             increment = (angular_rate[1:] - b) * np.diff(time)[:, None]
         else:
             increment = increments(time, angular_rate, None if bias is None else b)
-        return cls(time, angular_rate, b, interval_mean, increment, chain(exponential(increment)))
+        return cls(time, angular_rate, b, interval_mean, increment, chained(increment))
 
     def following(self, before: GyroscopeTrack, when: float) -> GyroscopeTrack:
         """Return this piece of a track in the world frame of the preceding piece, with K and Σ dt² continued.
@@ -147,11 +148,13 @@ class GyroscopeTrack:
         p, q = self.rotation
         n, step = len(self.time), self.step
         lever = np.empty((9, n))
+        if compiled.loops:
+            compiled.loops.lever(n, *map(compiled.given, (p, q, step, self.lever_before)), lever)
+            return lever
         lever[:, 0] = self.lever_before
         for first in range(0, n - 1, _CHUNK):
             stop = min(first + _CHUNK, n - 1)
-            whole = stop - first == n - 1
-            r = self.matrices if whole else matrices((p[first : stop + 1], q[first : stop + 1]))
+            r = matrices((p[first : stop + 1], q[first : stop + 1]))
             added = lever[:, first + 1 : stop + 1]
             np.add(r[:, 1:], r[:, :-1], out=added)
             added *= -0.5 * step[first:stop]

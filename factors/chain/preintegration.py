@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.field_windows import (
     NONE,
     NOTHING,
@@ -34,7 +35,7 @@ from magyc_gtsam.factors.chain.field_windows import (
     joined_between,
 )
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
-from magyc_gtsam.factors.chain.rotations import Array, cross, matrices
+from magyc_gtsam.factors.chain.rotations import Array, Spinor, cross, matrices
 from magyc_gtsam.factors.errors import MagycError
 
 HOLE = 0.5  # s, a longer step of the gyroscope interrupts a chain
@@ -186,9 +187,7 @@ class Preintegration:
             stop = int(starts[last]) if last < len(starts) else total
             track = self._track(track, slice(int(starts[first]), stop), bias, delay)
             own = starts[first:last] - starts[first]
-            samples = self._at(track, slice(int(starts[first]), stop), delay)
-            for part, rows in zip((turned, lever, rate), samples, strict=True):
-                np.add.reduceat(rows, own, axis=1, out=means[part, first:last])
+            means[:, first:last] = _sums(own, *self._at(track, slice(int(starts[first]), stop), delay))
             squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
             if len(self.empty.link):
                 between.append(self.empty.part(first, last).integrated(track, delay))
@@ -269,22 +268,33 @@ class Preintegration:
         )
         return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
 
-    def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Array, Array, Array]:
-        """Return R, K and dRᵀ/dτ, (9, len(rows)) each, at the samples' stamps less the delay."""
+    def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Spinor, Array, Array]:
+        """Return R, K (9, len(rows)) and the rate (len(rows), 3) less the bias, at the stamps less the delay."""
         when = self.magnetometer_time[rows] - delay
         begin = int(np.searchsorted(track.time, when[0]))
         own = slice(begin, begin + len(when))
         if np.array_equal(when, track.time[own]):
-            turned, lever = track.matrices[:, own], track.lever[:, own]
-            rate = track.angular_rate[own] - track.bias
-        else:
-            rotation, rate = track.rotation_at(when)
-            turned, lever = matrices(rotation), track.lever_at(when)
-        x, y, z = rate.T
-        r = turned.reshape(3, 3, -1).swapaxes(0, 1)  # rows of Rᵀ
-        # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
-        change = np.empty((3, 3, len(when)))
-        np.subtract(y * r[2], z * r[1], out=change[0])
-        np.subtract(z * r[0], x * r[2], out=change[1])
-        np.subtract(x * r[1], y * r[0], out=change[2])
-        return turned, lever, change.reshape(9, -1)
+            p, q = track.rotation
+            return (p[own], q[own]), track.lever[:, own], track.angular_rate[own] - track.bias
+        rotation, rate = track.rotation_at(when)
+        return rotation, track.lever_at(when), rate
+
+
+def _sums(starts: np.ndarray, rotation: Spinor, lever: Array, rate: Array) -> Array:
+    """Return the sums (27, n) over the samples from each start to the next: of R, K and dRᵀ/dτ, row by row."""
+    result = np.empty((_ROWS, len(starts)))
+    if compiled.loops:
+        samples = map(compiled.given, (*rotation, lever, rate))
+        compiled.loops.sum_windows(len(rate), starts.astype(np.int64, copy=False), *samples, result)
+        return result
+    x, y, z = rate.T
+    turned = matrices(rotation)
+    r = turned.reshape(3, 3, -1).swapaxes(0, 1)  # rows of Rᵀ
+    # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
+    change = np.empty((3, 3, len(rate)))
+    np.subtract(y * r[2], z * r[1], out=change[0])
+    np.subtract(z * r[0], x * r[2], out=change[1])
+    np.subtract(x * r[1], y * r[0], out=change[2])
+    for part, rows in zip(np.split(result, 3), (turned, lever, change.reshape(9, -1)), strict=True):
+        np.add.reduceat(rows, starts, axis=1, out=part)
+    return result

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from magyc_gtsam.factors.chain import compiled
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Spinor = tuple[Complex, Complex]
@@ -133,6 +135,16 @@ def chain(steps: Spinor) -> Spinor:
     start = chain((inside[-1, 0, :-1], inside[-1, 1, :-1]))
     p, q = multiply(start, (inside[:-1, 0], inside[:-1, 1]))
     return p.T.ravel()[: n + 1], q.T.ravel()[: n + 1]
+
+
+def chained(rotation_vector: Array) -> Spinor:
+    """Return `chain` of `exponential` of rotation vectors (n, 3) in rad."""
+    if not compiled.loops:
+        return chain(exponential(rotation_vector))
+    n = len(rotation_vector)
+    result = np.empty(n + 1, complex), np.empty(n + 1, complex)
+    compiled.loops.chain(n, compiled.given(rotation_vector.T), *result)
+    return result
 
 
 def matrices(rotation: Spinor) -> Array:

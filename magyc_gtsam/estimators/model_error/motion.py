@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpttrf, dpttrs
 
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.median import median
-from magyc_gtsam.factors.chain.rotations import Array, chain, cross, exponential, exponential_matrices, matrices
+from magyc_gtsam.factors.chain.rotations import Array, chained, cross, exponential_matrices, matrices
+from magyc_gtsam.factors.chain.spline import Spline
 from magyc_gtsam.factors.chain.vech import unvech
 
 SLOW = (1, 7)  # half waves in the recording of a slow variation
@@ -82,7 +82,7 @@ class WindowMotion:
         return cls(
             time=windows.time,
             rotation=rotation,
-            world=_aligned(matrices(chain(exponential(drift.T))).reshape(3, 3, -1), g),
+            world=_aligned(matrices(chained(drift.T)).reshape(3, 3, -1), g),
             unit=unit,
             change=change,
             rate=rate,
@@ -230,36 +230,15 @@ class WindowMotion:
         The windows are long relative to the fastest motion (in a swell the phase advances by some 2 rad from one to the
         next), where central differences retain 0.4 of a derivative and a spline 0.85.
         """
-        inverse = 1 / self._step
-        rows = values.reshape(-1, len(self.time))
-        rise = rows[:, 1:] - rows[:, :-1]
-        slope = np.empty(rows.shape)
-        slope[:, 0], slope[:, -1] = rise[:, 0] * inverse[0], rise[:, -1] * inverse[-1]
-        rise *= 3 * inverse**2
-        right = rise[:, 1:] + rise[:, :-1]
-        right[:, 0] -= inverse[0] * slope[:, 0]
-        right[:, -1] -= inverse[-1] * slope[:, -1]
-        slope[:, 1:-1] = dpttrs(*self._spline, right.T, overwrite_b=1)[0].T
-        return slope.reshape(values.shape)
+        return self._spline.slopes(values)
 
     def integral(self, values: Array) -> Array:
         """Return the integrals (…, n − 1) of the spline through values (…, n) from each window to the next."""
-        result: Array = 0.5 * self._step * (values[..., 1:] + values[..., :-1])
-        if not self.straight:
-            slope = self.derivative(values)
-            result -= self._step**2 / 12 * (slope[..., 1:] - slope[..., :-1])
-        return result
+        return self._spline.integrals(values, self.straight)
 
     @cached_property
-    def _step(self) -> Array:
-        return np.maximum(np.diff(self.time), ALIKE)
-
-    @cached_property
-    def _spline(self) -> tuple[Array, Array]:
-        """Factors of the symmetric tridiagonal matrix for the spline's slopes; the first and last slopes are given."""
-        inverse = 1 / self._step
-        factors: tuple[Array, Array] = dpttrf(2 * (inverse[1:] + inverse[:-1]), inverse[1:-1])[:2]
-        return factors
+    def _spline(self) -> Spline:
+        return Spline.at(self.time)
 
     def waves(self, first: int, stop: int) -> Array:
         """Return (stop − first, n) cosines of unit mean square with `first` to `stop` − 1 half waves."""

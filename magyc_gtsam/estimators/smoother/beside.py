@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate, pairwise
 
 import numpy as np
-from scipy.linalg.blas import dgemm
 
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns, joined
 from magyc_gtsam.estimators.smoother.whitened_fit import ROUNDING, WhitenedFit
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array
 
 # Columns times windows that go through the elimination together: few calls, and the working set stays in the cache.
@@ -89,33 +90,72 @@ class ColumnProducts(WhitenedFit):
         """Return {key: (G, s, explained)} of groups that are all on the same sensors."""
         if not groups:
             return {}
-        left, own = self.left, self.estimated
-        window, link, absorbed = self.whiten(joined(list(groups.values())))
-        pull, score = -own.half @ absorbed.T, absorbed @ left.absorbed
-        if window is not None:
-            pull += own.window.reshape(len(pull), -1) @ window.T
-            score -= window @ left.window
-        if link is not None:
-            pull[own.linked] += own.link @ link.T
-            score -= link @ left.link
-        explained = own.explained(pull)
-        score += explained.T @ left.explained
+        columns, sizes = joined(list(groups.values())), [group.size for group in groups.values()]
+        explained, score, normals = (self._compiled if compiled.loops else self._in_numpy)(columns, sizes)
         result, first = {}, 0
-        for i, group in groups.items():
-            rows = slice(first, first + group.size)
-            first, taken, kept = rows.stop, _gram(absorbed[rows]), explained[:, rows]
-            normal = sum(_gram(part[rows]) for part in (window, link) if part is not None) - taken
-            normal.flat[:: len(normal) + 1] += ROUNDING * (normal.diagonal() + taken.diagonal())
-            result[i] = normal - kept.T @ kept, score[rows], kept
+        for i, normal in zip(groups, normals, strict=True):
+            rows = slice(first, first + len(normal))
+            first = rows.stop
+            result[i] = normal, score[rows], explained[:, rows]
         return result
 
-    def whiten(self, columns: UnmodelledColumns) -> tuple[Array | None, Array | None, Array]:
-        """Return columns whitened: of the windows (k, 3n) and of the links (k, 3n − 3), if any, and Zᵀ (k, 2n)."""
-        window = None if columns.window is None else columns.window * self.window_scale
-        link = None if columns.link is None else columns.link * self.link_scale
-        absorbed = self.absorbed(window, link)
-        flat = (None if part is None else part.reshape(len(part), -1) for part in (window, link))
-        return *flat, absorbed  # type: ignore[return-value]
+    def _compiled(self, columns: UnmodelledColumns, sizes: Sequence[int]) -> tuple[Array, Array, list[Array]]:
+        """Return `explained` (free, K), s (K,) and the matrices G of groups with these numbers of columns."""
+        count, ends = columns.size, list(accumulate(size * size for size in sizes))
+        explained, score, normal = np.empty((len(self._root), count)), np.empty(count), np.empty(ends[-1])
+        scale, link_scale, *jacobians = self._whitening
+        compiled.loops.score(
+            len(self.fit.chain.windows),
+            compiled.given(columns.window),
+            scale,
+            compiled.given(columns.link),
+            link_scale,
+            *jacobians,
+            *self._rows,
+            self._root,
+            self.left.explained,
+            np.array([ROUNDING]),
+            np.array(sizes, dtype=np.int64),
+            explained,
+            score,
+            normal,
+        )
+        return explained, score, [normal[e - k * k : e].reshape(k, k) for e, k in zip(ends, sizes, strict=True)]
+
+    def _in_numpy(self, columns: UnmodelledColumns, sizes: Sequence[int]) -> tuple[Array, Array, list[Array]]:
+        window, link, absorbed = self.whiten(columns)
+        half, of_window, linked, of_link = self._rows
+        pull = half @ -absorbed.T
+        if window is not None:
+            pull += of_window @ window.T
+        if link is not None:
+            pull[linked] += of_link @ link.T
+        explained = self._root @ pull[:-1]
+        normals, first = [], 0
+        for size in sizes:
+            rows = slice(first, first + size)
+            first, taken, kept = rows.stop, absorbed[rows] @ absorbed[rows].T, explained[:, rows]
+            normal = sum(part[rows] @ part[rows].T for part in (window, link) if part is not None) - taken
+            normal.flat[:: size + 1] += ROUNDING * (normal.diagonal() + taken.diagonal())
+            normals.append(normal - kept.T @ kept)
+        return explained, self.left.explained @ explained - pull[-1], normals
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Array, np.ndarray, Array]:
+        """The parameters and, below them, the residual: absorbed, of the windows, and of the links with their rows."""
+        own, left = self.estimated, self.left
+        count = len(own.window)
+        return (
+            np.vstack([own.half, left.absorbed]),
+            np.vstack([own.window.reshape(count, -1), left.window]),
+            np.append(own.linked, count),
+            np.vstack([own.link, left.link]),
+        )
+
+    @cached_property
+    def _root(self) -> Array:
+        """(free, p) the matrix that takes products with the parameters to `explained`."""
+        return self.estimated.explained(np.eye(len(self.estimated.free)))
 
     def move(self, new: ColumnScore) -> Array:
         """Return S (P, k) of a group of columns."""
@@ -128,15 +168,6 @@ class ColumnProducts(WhitenedFit):
         explained = np.concatenate([new.explained for new in groups], axis=1)
         moved, ends = self.estimated.moved(explained), accumulate(len(new.score) for new in groups)
         return [moved[:, end - len(new.score) : end] for new, end in zip(groups, ends, strict=True)]
-
-
-def _gram(rows: Array) -> Array:
-    """Return the Gram matrix (k, k) of rows (k, m).
-
-    The general product is used: BLAS's routine for a matrix times its transpose takes twice as long for so few rows.
-    """
-    result: Array = dgemm(1.0, rows.T, rows.T, trans_a=1)
-    return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
-from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
-from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
+from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
+from magyc_gtsam.factors.chain import compiled
+from magyc_gtsam.factors.chain.banded import BandFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, Weights
 from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.facts import quadratic
@@ -141,9 +142,9 @@ class WhitenedFit:
         return float(square - left.absorbed @ left.absorbed - left.explained @ left.explained)
 
     @cached_property
-    def factor(self) -> UnitFactor:
+    def factor(self) -> BandFactor:
         """L, the factor of the directions' matrix."""
-        return UnitFactor.of(self.fit.reduced.factor)
+        return BandFactor.of(self.fit.reduced.factor)
 
     @cached_property
     def left(self) -> WhitenedResidual:
@@ -214,6 +215,37 @@ class WhitenedFit:
             np.block([[reduced.information, across], [across.T, square]]),
             np.append(pull, terms.precision * terms.value),
         )
+
+    def whiten(self, columns: UnmodelledColumns) -> tuple[Array | None, Array | None, Array]:
+        """Return columns whitened: of the windows (k, 3n) and of the links (k, 3n − 3), if any, and Zᵀ (k, 2n)."""
+        if compiled.loops is None:
+            window = None if columns.window is None else columns.window * self.window_scale
+            link = None if columns.link is None else columns.link * self.link_scale
+            flat = (None if part is None else part.reshape(len(part), -1) for part in (window, link))
+            return *flat, self.absorbed(window, link)  # type: ignore[return-value]
+        count, n = columns.size, len(self.fit.chain.windows)
+        window, link = (None if part is None else np.empty((count, part[0].size)) for part in columns)
+        absorbed = np.empty((count, 2 * n))
+        scale, link_scale, *jacobians = self._whitening
+        compiled.loops.whiten(
+            n,
+            compiled.given(columns.window),
+            scale,
+            compiled.given(columns.link),
+            link_scale,
+            *jacobians,
+            compiled.given(window),
+            compiled.given(link),
+            absorbed,
+        )
+        return window, link, absorbed
+
+    @cached_property
+    def _whitening(self) -> tuple[Array, ...]:
+        """Scales, Jacobians and factor, contiguous."""
+        reduced, factor = self.fit.reduced, self.factor
+        parts = (self.window_scale, self.link_scale, reduced.on_direction, reduced.before, reduced.after)
+        return *map(np.ascontiguousarray, parts), factor.columns, factor.inverse
 
     def absorbed(self, window: Array | None, link: Array | None) -> Array:
         """Return Zᵀ (k, 2n) of whitened columns (k, 3, n) of windows and (k, 3, n − 1) of links."""

@@ -1,0 +1,209 @@
+/* Inner loops of the field chain, for Python. Each has a version in numpy beside its caller, which gives the same
+   numbers up to rounding and is used where no compiler was at hand (`compiled.py`). The callers guarantee the shapes. */
+
+#include "c/arguments.h"
+#include "c/banded.h"
+#include "c/columns.h"
+#include "c/directions.h"
+#include "c/gyroscope.h"
+#include "c/linearisation.h"
+#include "c/products.h"
+#include "c/spline.h"
+
+/* factor, inverse, right (k, 2, n), solution (k, 2n) */
+static double forward(size n, Arrays *a)
+{
+    solve_all(n, 0, a->at[0], a->at[1], a->at[2], entries(a, 3) / (2 * n), a->at[3]);
+    return 0.0;
+}
+TO_PYTHON(forward, 4, 1)
+
+/* factor, inverse, right (k, 2n), solution (k, 2, n) */
+static double backward(size n, Arrays *a)
+{
+    solve_all(n, 1, a->at[0], a->at[1], a->at[2], entries(a, 3) / (2 * n), a->at[3]);
+    return 0.0;
+}
+TO_PYTHON(backward, 4, 1)
+
+/* matrix, swing, axes, rotation, turn, rotation_bias, rotation_rate, lever, scale, field, link_scale, answer,
+   direction; basis, on_direction, before, after, columns, links, band, border */
+static double linearise(size n, Arrays *a)
+{
+    double **at = a->at;
+    Chain k = {n,     entries(a, 17) / (3 * n) - 1, at[0],  at[1],  at[2],  at[3],  at[4],  at[5],
+               at[6], at[7],                        at[8],  at[9],  at[10], at[11], at[12], at[13],
+               at[14], at[15],                      at[16], at[17], at[18], at[19], at[20]};
+    for (size first = 0; first < n; first += STRETCH)
+        of_stretch(&k, first, LEAST(STRETCH, n - first));
+    for (size first = 0; first < n - 1; first += STRETCH)
+        of_link_stretch(&k, first, LEAST(STRETCH, n - 1 - first));
+    band_of(&k);
+    return 0.0;
+}
+TO_PYTHON(linearise, 21, 8)
+
+/* band, border, columns, links; factor, inverse, absorbed, products: the Cholesky factor of the band, the border
+   absorbed (p + 1, 2n), and the products (p + 1, p + 1) of the columns and links less those of what is absorbed; they
+   hold zeros before. Returns the residual's squared norm, or minus the number of the row that has no factor. */
+static double eliminate(size n, Arrays *a)
+{
+    size p = entries(a, 2) / (3 * n), failed = factorise(2 * n, a->at[0], a->at[4], a->at[5]);
+    double of_links[16] = {0}, *products = a->at[7];
+    if (failed)
+        return -(double)failed;
+    solve_all(n, 0, a->at[4], a->at[5], a->at[1], p, a->at[6]);
+    add_gram(3 * n, 1.0, a->at[2], p, products);
+    add_gram(3 * (n - 1), 1.0, a->at[3], 4, of_links);
+    for (size i = 0; i < 4; i++) /* of the bias, rows 9 to 11, and of the residual */
+        for (size j = 0; j <= i; j++)
+            products[(i < 3 ? 9 + i : p - 1) * p + (j < 3 ? 9 + j : p - 1)] += of_links[4 * i + j];
+    double square = products[p * p - 1];
+    add_gram(2 * n, -1.0, a->at[6], p, products);
+    for (size i = 0; i < p; i++)
+        for (size j = 0; j < i; j++)
+            products[j * p + i] = products[i * p + j];
+    return square;
+}
+TO_PYTHON(eliminate, 8, 4)
+
+/* factor, inverse, on_direction, columns (p, 3, n), half (p, 2n), covariance (p, p): returns `Reduced.absorbed` */
+static double absorbed(size n, Arrays *a)
+{
+    size p = entries(a, 3) / (3 * n);
+    double *solved = room(a, 5 * n * p + p * p), *across = solved + 2 * n * p, *gram = across + 3 * n * p;
+    if (!solved)
+        return 0.0;
+    double sum = explained_by_directions(n, a->at[0], a->at[1], a->at[2]);
+    solve_all(n, 1, a->at[0], a->at[1], a->at[4], p, solved);
+    memcpy(across, a->at[3], sizeof(double) * (size_t)(3 * n * p));
+    less_directions(n, p, a->at[2], solved, across);
+    memset(gram, 0, sizeof(double) * (size_t)(p * p));
+    add_gram(3 * n, 1.0, across, p, gram);
+    for (size i = 0; i < p; i++)
+        for (size j = 0; j <= i; j++)
+            sum += (i == j ? 1.0 : 2.0) * gram[i * p + j] * a->at[5][i * p + j];
+    PyMem_RawFree(solved);
+    return sum;
+}
+TO_PYTHON(absorbed, 6, 0)
+
+/* factor, inverse, half (p + 1, 2n), step (p,), basis, direction; room (2n,), moved (3, n) */
+static double move(size n, Arrays *a)
+{
+    step_directions(n, entries(a, 3), a->at[0], a->at[1], a->at[2], a->at[3], a->at[4], a->at[5], a->at[6], a->at[7]);
+    return 0.0;
+}
+TO_PYTHON(move, 8, 2)
+
+/* rotation, rotation_bias, rotation_rate, change (4,) of the bias and of the delay; result */
+static double rotate(size n, Arrays *a)
+{
+    moved_rotations(n, a->at[0], a->at[1], a->at[2], a->at[3], a->at[4]);
+    return 0.0;
+}
+TO_PYTHON(rotate, 5, 1)
+
+/* lever, change (3,); result */
+static double turn(size n, Arrays *a)
+{
+    turns(n, a->at[0], a->at[1], a->at[2]);
+    return 0.0;
+}
+TO_PYTHON(turn, 3, 1)
+
+/* window, window_scale, link, link_scale, on_direction, before, after, factor, inverse; white_window, white_link,
+   absorbed */
+static double whiten(size n, Arrays *a)
+{
+    Columns k = whitening(n, entries(a, 1) > n, a->at, a->at[9], a->at[10], a->at[11]);
+    size count = entries(a, 11) / (2 * n);
+    for (size own = 0; own < count; own += TOGETHER)
+        whiten_together(&k, own, LEAST(TOGETHER, count - own));
+    return 0.0;
+}
+TO_PYTHON(whiten, 12, 3)
+
+/* As `whiten` to inverse, then half, of_window, linked, of_link, root, residual, rounding (1,), count (groups,) of
+   int64; explained, score, normal. The columns of one group are below those of the other. */
+static double score(size n, Arrays *a)
+{
+    const int64_t *count = (const int64_t *)a->at[16];
+    size groups = entries(a, 16), all = entries(a, 18), p = entries(a, 9) / (2 * n), links = entries(a, 11);
+    size together = 2 * TOGETHER;
+    for (size g = 0; g < groups; g++)
+        if (count[g] > together)
+            together = (size)count[g];
+    double *white = room(a, together * (8 * n + p + links));
+    if (!white)
+        return 0.0;
+    Columns columns = whitening(n, entries(a, 1) > n, a->at, white, white + 3 * n * together, white + 6 * n * together);
+    Fit f = {columns,   p,         links,     entries(a, 14), (const int64_t *)a->at[11],   a->at[9],
+             a->at[10], a->at[12], a->at[13], a->at[14],      white + 8 * n * together};
+    double *normal = a->at[19];
+    for (size g = 0, own = 0; g < groups;) {
+        size stop = g, some = 0;
+        while (stop < groups && some + (size)count[stop] <= together)
+            some += (size)count[stop++];
+        pull_together(&f, own, some, all, a->at[17], a->at[18]);
+        for (size first = 0; g < stop; first += (size)count[g++]) {
+            size k = (size)count[g];
+            information(&f, first, k, a->at[17], own + first, all, a->at[15][0], normal);
+            normal += k * k;
+        }
+        own += some;
+    }
+    PyMem_RawFree(white);
+    return 0.0;
+}
+TO_PYTHON(score, 20, 3)
+
+/* vector (3, n); p, q */
+static double chain(size n, Arrays *a)
+{
+    chained(n, a->at[0], a->at[1], a->at[2]);
+    return 0.0;
+}
+TO_PYTHON(chain, 3, 2)
+
+/* p, q, step, start; lever */
+static double lever(size n, Arrays *a)
+{
+    levers(n, a->at[0], a->at[1], a->at[2], a->at[3], a->at[4]);
+    return 0.0;
+}
+TO_PYTHON(lever, 5, 1)
+
+/* start (windows,) of int64, p, q, lever, rate; sums: of n samples */
+static double sum_windows(size n, Arrays *a)
+{
+    window_sums(entries(a, 0), (const int64_t *)a->at[0], n, a->at[1], a->at[2], a->at[3], a->at[4], a->at[5]);
+    return 0.0;
+}
+TO_PYTHON(sum_windows, 6, 1)
+
+/* values (k, n), inverse (n − 1,) of the steps, the factors diagonal (n − 2,) and below (n − 3,); slopes (k, n), n > 3 */
+static double spline_slopes(size n, Arrays *a)
+{
+    size count = entries(a, 0) / n;
+    double *work = room(a, TOGETHER * n);
+    if (!work)
+        return 0.0;
+    memset(work, 0, sizeof(double) * TOGETHER * (size_t)n);
+    for (size own = 0; own < count; own += TOGETHER)
+        slopes_together(n, a->at[0] + own * n, a->at[1], a->at[2], a->at[3], LEAST(TOGETHER, count - own),
+                        a->at[4] + own * n, work);
+    PyMem_RawFree(work);
+    return 0.0;
+}
+TO_PYTHON(spline_slopes, 5, 1)
+
+static PyMethodDef methods[] = {
+    METHOD(forward), METHOD(backward), METHOD(linearise), METHOD(eliminate),   METHOD(absorbed),
+    METHOD(move),    METHOD(rotate),   METHOD(turn),      METHOD(whiten),      METHOD(score),
+    METHOD(chain),   METHOD(lever),    METHOD(sum_windows), METHOD(spline_slopes), {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__loops(void) { return PyModule_Create(&module); }

@@ -1,0 +1,102 @@
+/* The gyroscope: rotations as pairs (w + i x, y + i z), see `rotations.py`, and sums over windows. */
+
+#ifndef MAGYC_GYROSCOPE_H
+#define MAGYC_GYROSCOPE_H
+
+#include "common.h"
+
+#define RENORMALISED 64 /* steps after which a product is given unit norm again */
+
+/* Products of the exponentials of n rotation vectors (3, n), n + 1 of them, the first one. */
+static void chained(size n, in_t vector, out_t p, out_t q)
+{
+    double w = 1.0, x = 0.0, y = 0.0, z = 0.0;
+    p[0] = 1.0;
+    p[1] = q[0] = q[1] = 0.0;
+    for (size t = 0; t < n; t++) {
+        double a = vector[t], b = vector[n + t], c = vector[2 * n + t], square = a * a + b * b + c * c, half, v;
+        if (square < 0.05) { /* series, exact to rounding */
+            v = 1 - square * (1. / 8 - square * (1. / 384 - square * (1. / 46080 - square / 10321920)));
+            half = 0.5 - square * (1. / 48 - square * (1. / 3840 - square * (1. / 645120 - square / 185794560)));
+        } else {
+            double angle = sqrt(square);
+            v = cos(0.5 * angle);
+            half = sin(0.5 * angle) / angle;
+        }
+        a *= half;
+        b *= half;
+        c *= half;
+        double w1 = w * v - x * a - y * b - z * c, x1 = w * a + x * v + y * c - z * b;
+        double y1 = w * b - x * c + y * v + z * a, z1 = w * c + x * b - y * a + z * v;
+        if (t % RENORMALISED == RENORMALISED - 1) {
+            double norm = 1.5 - 0.5 * (w1 * w1 + x1 * x1 + y1 * y1 + z1 * z1);
+            w1 *= norm;
+            x1 *= norm;
+            y1 *= norm;
+            z1 *= norm;
+        }
+        p[2 * t + 2] = w = w1;
+        p[2 * t + 3] = x = x1;
+        q[2 * t + 2] = y = y1;
+        q[2 * t + 3] = z = z1;
+    }
+}
+
+static inline void matrix_of(const double *p, const double *q, double r[9])
+{
+    double w = p[0], x = p[1], y = q[0], z = q[1], x2 = x + x, y2 = y + y, z2 = z + z;
+    r[0] = 1 - y * y2 - z * z2;
+    r[1] = x * y2 - w * z2;
+    r[2] = x * z2 + w * y2;
+    r[3] = x * y2 + w * z2;
+    r[4] = 1 - x * x2 - z * z2;
+    r[5] = y * z2 - w * x2;
+    r[6] = x * z2 - w * y2;
+    r[7] = y * z2 + w * x2;
+    r[8] = 1 - x * x2 - y * y2;
+}
+
+/* lever (9, n) = start − ∫ R dt by the trapezoid rule over n − 1 steps. */
+static void levers(size n, in_t p, in_t q, in_t step, in_t start, out_t lever)
+{
+    double before[9], after[9], sum[9];
+    matrix_of(p, q, before);
+    for (int i = 0; i < 9; i++)
+        lever[i * n] = sum[i] = start[i];
+    for (size t = 1; t < n; t++) {
+        double half = -0.5 * step[t - 1];
+        matrix_of(p + 2 * t, q + 2 * t, after);
+        for (int i = 0; i < 9; i++) {
+            lever[i * n + t] = sum[i] += half * (before[i] + after[i]);
+            before[i] = after[i];
+        }
+    }
+}
+
+/* Sums (27, windows) over the samples of each window, from its start to the next: R and K row by row, and
+   d/dτ R(t − τ)ᵀ = [ω]× Rᵀ. Samples (m): p, q, lever (9, m), rate (m, 3). */
+static void window_sums(size windows, const int64_t *start, size m, in_t p, in_t q, in_t lever, in_t rate, out_t sums)
+{
+    for (size k = 0; k < windows; k++) {
+        size stop = k + 1 < windows ? (size)start[k + 1] : m;
+        double sum[27] = {0}, r[9];
+        for (size t = (size)start[k]; t < stop; t++) {
+            const double *w = rate + 3 * t;
+            matrix_of(p + 2 * t, q + 2 * t, r);
+            for (int i = 0; i < 9; i++) {
+                sum[i] += r[i];
+                sum[9 + i] += lever[i * m + t];
+            }
+            for (int j = 0; j < 3; j++) { /* column j of Rᵀ is row j of R */
+                const double *v = r + 3 * j;
+                sum[18 + j] += w[1] * v[2] - w[2] * v[1];
+                sum[21 + j] += w[2] * v[0] - w[0] * v[2];
+                sum[24 + j] += w[0] * v[1] - w[1] * v[0];
+            }
+        }
+        for (int i = 0; i < 27; i++)
+            sums[i * windows + k] = sum[i];
+    }
+}
+
+#endif
