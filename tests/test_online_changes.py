@@ -15,6 +15,8 @@ from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.online.change_point import find_step, in_sensor, step_profile
 from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.online.restart import find_earlier_change
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.signals import record
 
 MICROTESLA = 1e-6
 
@@ -218,6 +220,15 @@ def test_nothing_is_trusted_while_a_large_step_is_possible():
     assert len(online.changes) == 1
     assert told
     assert not any(told)
+
+
+def test_a_fit_that_follows_one_that_did_not_fit_is_not_converged():
+    """Readings that wrap leave several minima; in one log a trusted fit, 5 µT off, follows one that does not fit."""
+    fault, converged = FAULTS["wrapping-full-scale"], []
+    for seed in range(35006, 35010):
+        log = record("wide", seed, fault, fault.strong, "wrapping-full-scale")
+        converged.append(feed(OnlineCalibrator(), log.recording("wraps"), step=2.0).converged)
+    assert not any(converged)
 
 
 @pytest.fixture(scope="module")

@@ -84,7 +84,7 @@ class Picture:
         if not self._recent or not calibration.field_strength:
             return None
         value = np.vstack([samples.value for samples in self._recent])
-        residual = np.linalg.norm(calibration.apply(value), axis=1) - calibration.field_strength
+        residual = np.linalg.norm(calibration.corrected(value), axis=1) - calibration.field_strength
         noise = float(calibration.noise.get("magnetic_field") or 0.0)
         variance = noise**2 / len(residual)
         if calibration.covariance is not None:
@@ -108,7 +108,7 @@ def _directions(field: Array, calibration: Calibration | None, among: Array | No
         among = field if among is None else among
         field = field - (among.min(axis=0) + among.max(axis=0)) / 2
     else:
-        field = calibration.apply(field)
+        field = calibration.corrected(field)
     length = np.linalg.norm(field, axis=1, keepdims=True)
     unit: Array = field / np.where(length > 0, length, 1.0)
     return unit

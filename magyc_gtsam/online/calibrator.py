@@ -189,7 +189,7 @@ class OnlineCalibrator:
         calibration, field = self._engine.calibration(), self._engine.field()
         if calibration is None:
             return 0.0
-        direction = calibration.apply(field[:: max(len(field) // _MOST_DIRECTIONS, 1)])
+        direction = calibration.corrected(field[:: max(len(field) // _MOST_DIRECTIONS, 1)])
         direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
         return float(cells(direction).mean())
 

@@ -27,7 +27,7 @@ from magyc_gtsam.estimators.smoother.search import (
     with_skew,
 )
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
+from magyc_gtsam.estimators.smoother.smoother import misfits, prior_contradictions
 from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -142,8 +142,10 @@ def refit(online: SmootherState) -> None:
     estimate, report = _report(online, recording, fit, count)
     if later and not report.converged and belief.drift is None and restart_after_change(online):
         return
+    to_compare = _to_compare(fit, estimate, report)
     if belief.past is None and not observable(report):
         belief.head, belief.estimate, belief.stable = None, None, False  # nothing to continue from
+        belief.refitted = None if to_compare is None else belief.refitted
         return
     numbers = _form_head_and_tail(online, fit, samples)
     belief.estimate = estimate
@@ -154,7 +156,7 @@ def refit(online: SmootherState) -> None:
         belief.stable,
         report.converged and count >= LEAST_STABLE and _is_stable(online, fit),
     )
-    belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
+    belief.refitted = to_compare
     if settings.detect_changes and belief.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
         restart_at_convergence(online, fit, report)
 
@@ -228,6 +230,17 @@ def _walk(online: SmootherState) -> None:
     belief.report = report_of(online, online.recording(belief.done, belief.tail), fit, belief.tail, online.last)
     belief.stable = belief.report.converged and _is_stable(online, fit)
     belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
+
+
+def _to_compare(fit: Fit, estimate: Estimate, report: Calibration) -> Array | None:
+    """Return θ and its sigmas (2, p), by which the next refit is judged; None if the model does not fit.
+
+    Such a fit has sigmas so wide that any next one is within them, though its data let several minima appear.
+    """
+    strength = report.field_strength
+    if strength is None or misfits(fit, strength, observable(report)):
+        return None
+    return np.array([estimate.parameters, np.sqrt(np.diag(estimate.covariance))])
 
 
 def _is_stable(online: SmootherState, fit: Fit) -> bool:

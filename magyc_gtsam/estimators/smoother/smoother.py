@@ -234,14 +234,14 @@ def _jumped(fit: Fit, recording: Recording) -> list[str]:
     return [f"the field jumped {named}: calibrate a stretch between (start=, end=), or run `mg.find_gap`"]
 
 
-def _reasons(fit: Fit, field_strength: float, observability: Observability) -> list[str]:
-    """Return the reasons not to trust the result, the root cause first; empty if there are none."""
+def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:
+    """Return the reasons not to trust the result because the model does not fit, the root cause first."""
     reasons = []
     left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
     misfit = ""
     if left > _MOST_UNEXPLAINED * field_strength:
         misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field)"
-    elif observability.observable and not positive(fit):
+    elif observable and not positive(fit):
         misfit = "only a soft iron that mirrors the field fits, which no instrument has"
     if misfit:
         reasons.append(
@@ -252,6 +252,12 @@ def _reasons(fit: Fit, field_strength: float, observability: Observability) -> l
         reasons.append(
             f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated"
         )
+    return reasons
+
+
+def _reasons(fit: Fit, field_strength: float, observability: Observability) -> list[str]:
+    """Return the reasons not to trust the result, the root cause first; empty if there are none."""
+    reasons = misfits(fit, field_strength, observability.observable)
     if not observability.observable:
         swept = np.ptp(fit.chain.windows.field, axis=1) * 1e6
         along = ", ".join(f"{value:.0f}" for value in swept)
