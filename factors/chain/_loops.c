@@ -130,16 +130,17 @@ static double score(size n, Arrays *a)
 {
     const int64_t *count = (const int64_t *)a->at[16];
     size groups = entries(a, 16), all = entries(a, 18), p = entries(a, 9) / (2 * n), links = entries(a, 11);
-    size together = 2 * TOGETHER;
+    size together = LEAST(2 * TOGETHER, all), window = a->at[0] ? 3 * n : 0, link = a->at[2] ? 3 * (n - 1) : 0;
     for (size g = 0; g < groups; g++)
         if (count[g] > together)
             together = (size)count[g];
-    double *white = room(a, together * (8 * n + p + links));
+    double *white = room(a, together * (window + link + 2 * n + p + links));
     if (!white)
         return 0.0;
-    Columns columns = whitening(n, entries(a, 1) > n, a->at, white, white + 3 * n * together, white + 6 * n * together);
-    Fit f = {columns,   p,         links,     entries(a, 14), (const int64_t *)a->at[11],   a->at[9],
-             a->at[10], a->at[12], a->at[13], a->at[14],      white + 8 * n * together};
+    double *white_link = white + window * together, *half = white_link + link * together;
+    Columns columns = whitening(n, entries(a, 1) > n, a->at, white, white_link, half);
+    Fit f = {columns,   p,         links,     entries(a, 14), (const int64_t *)a->at[11], a->at[9],
+             a->at[10], a->at[12], a->at[13], a->at[14],      half + 2 * n * together};
     double *normal = a->at[19];
     for (size g = 0, own = 0; g < groups;) {
         size stop = g, some = 0;

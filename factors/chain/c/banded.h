@@ -10,7 +10,7 @@
 static size factorise(size m, in_t band, out_t factor, out_t inverse)
 {
     for (size j = 0; j < m; j++) {
-        const double *past = factor + 4 * j, *own = band + 4 * j; /* past[1 − 4 k] …: row j of column j − k */
+        const double *past = factor + 4 * j, *own = band + 4 * j; /* past[−3 k]: row j of column j − k */
         double a = j > 0 ? past[-3] : 0.0, b = j > 1 ? past[-6] : 0.0, c = j > 2 ? past[-9] : 0.0;
         double square = own[0] - a * a - b * b - c * c;
         if (square <= 0.0)
@@ -31,7 +31,7 @@ WIDE_VECTORS static void forward_rows(size first, size some, in_t factor, in_t i
 {
     for (size t = 0; t < some; t++) {
         size r = 2 * (first + t);
-        const double *own = factor + 4 * r, *past = own - 8;
+        const double *own = factor + 4 * r, *past = r ? own - 8 : own;
         double a2 = r ? past[2] : 0.0, a1 = r ? past[5] : 0.0, b3 = r ? past[3] : 0.0, b2 = r ? past[6] : 0.0;
         double b1 = own[1], even = inverse[r], odd = inverse[r + 1];
         double *y = rows + 2 * TOGETHER * t;

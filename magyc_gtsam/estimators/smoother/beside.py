@@ -125,7 +125,7 @@ class ColumnProducts(WhitenedFit):
     def _in_numpy(self, columns: UnmodelledColumns, sizes: Sequence[int]) -> tuple[Array, Array, list[Array]]:
         window, link, absorbed = self.whiten(columns)
         half, of_window, linked, of_link = self._rows
-        pull = half @ -absorbed.T
+        pull = -(half @ absorbed.T)
         if window is not None:
             pull += of_window @ window.T
         if link is not None:
