@@ -23,6 +23,13 @@ def test_readme_is_short() -> None:
         assert (ROOT / target).exists(), target
 
 
+def test_the_documents_count_the_effects() -> None:
+    for name in ("README.md", "CHANGELOG.md"):
+        words = " ".join((ROOT / name).read_text(encoding="utf-8").split())
+        counted = re.findall(r"catalogue of (\d+)|which of (\d+) effects", words)
+        assert {int(a or b) for a, b in counted} == {len(LABELS)}, name
+
+
 def test_every_benchmark_is_named_in_a_document() -> None:
     documents = [ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
     words = "\n".join(file.read_text(encoding="utf-8") for file in documents)
