@@ -22,12 +22,12 @@ from magyc_gtsam.factors.chain.vech import vech
 
 _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
 # Prior odds of an effect. They determine the cost for clean logs (ten minutes at 10 Hz): the mean NEES falls from 11 by
-# 0.4 to 0.7, on tiny motion by 1.1, and the axis of hard iron and bias that is widened most is wider by a median factor
-# of 1.05 to 1.07, on tiny motion 1.13. The NEES is 11 over instruments that have such errors as often as these odds
+# 0.6 to 1.0, on tiny motion by 1.7, and the axis of hard iron and bias that is widened most is wider by a median factor
+# of 1.04 to 1.10, on tiny motion 1.14. The NEES is 11 over instruments that have such errors as often as these odds
 # state. docs/fault_study.md compares priors of a bend.
 EVEN = 1.0  # effects of which another measured quantity gives the size
 LIKELY = 0.15  # errors stated as a share of the full scale, of which the field is a small part
-COMMON = 0.1  # errors that every data sheet states as one number
+COMMON = 0.3  # errors that every data sheet of a low-cost sensor states as one number
 USUAL = 0.05  # errors of some sensors
 SELDOM = 0.02  # a field gradient with a lever arm, which hardly moves the parameters of a clean log
 GENERAL = 2.5e-3  # effects without a specific cause: with so many families some gain 6 nats by chance
