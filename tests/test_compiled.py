@@ -15,7 +15,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit, begin
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.banded import BandFactor, backward_solved, forward_solved
-from magyc_gtsam.factors.chain.chain_values import PARAMETERS, WITH_SKEW, Weights
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, WITH_SKEW, ChainState, Weights
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
@@ -179,6 +179,14 @@ def test_a_matrix_without_a_factor_is_refused(fit: Fit, monkeypatch: pytest.Monk
             fit.chain.eliminate(fit.state, fit.weights)
         messages.append(str(found.value))
     assert messages[0] == messages[1]
+
+
+def test_a_state_that_is_not_finite_has_a_cost_that_is_not(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A descent takes its step back there, whatever computed it."""
+    state = ChainState(fit.state.parameters, fit.state.direction.copy())
+    state.direction[:, 20] = np.nan
+    fast, numpy = both(lambda: fit.chain.eliminate(state, fit.weights).cost, monkeypatch)
+    assert np.isnan([fast, numpy]).all()
 
 
 @pytest.mark.parametrize("motion", ["wide", "tiny"])

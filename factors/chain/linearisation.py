@@ -61,15 +61,17 @@ class Linearised(NamedTuple):
             square = compiled.loops.eliminate(
                 n, self.band, self.border, self.columns, self.links, factor, inverse, absorbed, products
             )
-            return Eliminated(products, 0.5 * square, factor.T, absorbed, max(-int(square), 0))
+            return Eliminated(products, 0.5 * square, factor.T, absorbed, int(-square) if square < 0 else 0)
         flat, links = self.columns.reshape(size, -1), self.links.reshape(4, -1)
         products = flat @ flat.T
         rows = [9, 10, 11, size - 1]  # of the bias and of the residual
         products[np.ix_(rows, rows)] += links @ links.T
-        factor, failed = dpbtrf(self.band.T, lower=1)
-        absorbed = products if failed else forward_solved(BandFactor.of(factor), self.border)
         cost = 0.5 * float(products[-1, -1])
-        return Eliminated(products - absorbed @ absorbed.T, cost, factor, absorbed, int(failed))
+        factor, failed = dpbtrf(self.band.T, lower=1)
+        if failed:
+            return Eliminated(products, cost, factor, np.empty((size, 2 * n)), int(failed))
+        absorbed = forward_solved(BandFactor.of(factor), self.border)
+        return Eliminated(products - absorbed @ absorbed.T, cost, factor, absorbed, 0)
 
 
 class Eliminated(NamedTuple):
