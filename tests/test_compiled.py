@@ -83,6 +83,20 @@ def test_step_and_absorbed(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
     close(*both(lambda: fit.reduced.direction_slopes, monkeypatch), 1e-9)
 
 
+def test_settled_directions(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The equations of the directions, a step by them, and all steps."""
+    sight = fit.chain._sight(fit.state, fit.weights)
+    fast, numpy = both(lambda: sight.equations(fit.state.direction), monkeypatch)
+    fast.band[-2:, 2:] = fast.band[-1, 1] = 0  # no entries of the matrix
+    for one, other in zip(fast, numpy, strict=True):
+        close(one, other)
+    (moved, most, failed), (same, largest, _) = both(lambda: fast.stepped(fit.state.direction), monkeypatch)
+    close(moved, same)
+    close(most, largest, 1e-9)
+    assert failed == 0
+    close(*both(lambda: fit.chain.settled(fit.state, fit.weights).direction, monkeypatch))
+
+
 @pytest.mark.parametrize("sides", ["windows", "links", "windows and links"])
 @pytest.mark.parametrize("with_terms", [False, True])
 def test_scores(fit: Fit, sides: str, with_terms: bool, monkeypatch: pytest.MonkeyPatch) -> None:

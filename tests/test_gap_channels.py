@@ -217,3 +217,15 @@ def test_the_lag_of_a_current_is_that_of_the_samples() -> None:
     (effect,) = gap.effects
     assert effect.name == "motor-current"
     assert effect.setting["lag"] == pytest.approx(2.0, abs=0.7)
+
+
+@pytest.mark.parametrize(
+    ("kind", "effect"),
+    [("current", "motor-current"), ("temperature", "temperature-hard-iron"), ("depth", "field-gradient")],
+)
+def test_a_channel_whose_means_over_the_windows_are_equal_is_constant(kind: str, effect: str) -> None:
+    """A relay that cycles at the sampling rate: nothing of it is left in a window."""
+    recording = mg.simulate("wide", 120, seed=3).recording
+    toggling = np.round(recording.time * 10) % 2
+    gap = mg.find_gap(replace(recording, channels={kind: toggling}))
+    assert "or it is constant" in next(untested.reason for untested in gap.untested if untested.name == effect)

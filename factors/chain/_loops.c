@@ -8,6 +8,7 @@
 #include "c/gyroscope.h"
 #include "c/linearisation.h"
 #include "c/products.h"
+#include "c/settling.h"
 #include "c/spline.h"
 
 /* factor, inverse, right (k, 2, n), solution (k, 2n) */
@@ -95,6 +96,35 @@ static double move(size n, Arrays *a)
     return 0.0;
 }
 TO_PYTHON(move, 8, 2)
+
+/* matrix, rotation, scale, field, turn, link_scale, answer, direction; basis, band, gradient */
+static double directions(size n, Arrays *a)
+{
+    double **at = a->at, *work = room(a, 24 * n);
+    if (!work)
+        return 0.0;
+    Chain k = {.n = n, .matrix = at[0], .rotation = at[1], .scale = at[2], .field = at[3], .turn = at[4],
+               .link_scale = at[5], .answer = at[6], .direction = at[7], .basis = at[8], .band = at[9],
+               .border = at[10], .on_direction = work, .before = work + 6 * n, .after = work + 12 * n,
+               .columns = work + 18 * n, .links = work + 21 * n};
+    direction_equations(&k);
+    PyMem_RawFree(work);
+    return 0.0;
+}
+TO_PYTHON(directions, 11, 3)
+
+/* band, gradient, basis, direction; moved: returns the largest squared step, or minus the number of a row without
+   factor */
+static double step(size n, Arrays *a)
+{
+    double *work = room(a, 12 * n);
+    if (!work)
+        return 0.0;
+    double most = step_of_directions(n, a->at[0], a->at[1], a->at[2], a->at[3], work, a->at[4]);
+    PyMem_RawFree(work);
+    return most;
+}
+TO_PYTHON(step, 5, 1)
 
 /* rotation, rotation_bias, rotation_rate, change (4,) of the bias and of the delay; result */
 static double rotate(size n, Arrays *a)
@@ -202,7 +232,8 @@ TO_PYTHON(spline_slopes, 5, 1)
 static PyMethodDef methods[] = {
     METHOD(forward), METHOD(backward), METHOD(linearise), METHOD(eliminate),   METHOD(absorbed),
     METHOD(move),    METHOD(rotate),   METHOD(turn),      METHOD(whiten),      METHOD(score),
-    METHOD(chain),   METHOD(lever),    METHOD(sum_windows), METHOD(spline_slopes), {NULL, NULL, 0, NULL},
+    METHOD(chain),   METHOD(lever),    METHOD(sum_windows), METHOD(spline_slopes),
+    METHOD(directions), METHOD(step), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

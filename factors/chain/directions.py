@@ -8,8 +8,39 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array, tangent_frame
+
+
+class DirectionEquations(NamedTuple):
+    """Newton's equations of the directions at a point, which a step −x solves: band · x = gradient.
+
+    basis (3, 2, n): bases of the tangent planes; band (2n, 4): the matrix in its lower band, diagonal first; gradient
+    (2, n).
+    """
+
+    basis: Array
+    band: Array
+    gradient: Array
+
+    def stepped(self, direction: Array) -> tuple[Array, float, int]:
+        """Return the directions (3, n) after the step, its largest squared entry, and the row that has no factor.
+
+        The row is 0 if all have one.
+        """
+        n = direction.shape[1]
+        if compiled.loops:
+            moved = np.empty((3, n))
+            most = compiled.loops.step(n, self.band, self.gradient, self.basis, compiled.given(direction), moved)
+            return moved, most, int(-most) if most < 0 else 0
+        factor, failed = dpbtrf(self.band.T, lower=1)
+        if failed:
+            return direction, np.inf, int(failed)
+        tangent, _ = dpbtrs(factor, self.gradient.T.ravel(), lower=1)
+        moved = stepped(direction, self.basis, tangent)
+        return moved, float(np.square(moved - direction).max()), 0
 
 
 class LinearDirections(NamedTuple):
@@ -106,6 +137,22 @@ class DirectionModel(NamedTuple):
     turn: Array
     link_scale: Array
     answer: Array | None
+
+    def equations(self, direction: Array) -> DirectionEquations:
+        """Return the equations of the directions at directions (3, n)."""
+        if compiled.loops:
+            n = direction.shape[1]
+            result = DirectionEquations(np.empty((3, 2, n)), np.empty((2 * n, 4)), np.empty((2, n)))
+            scale, field, turn, link_scale = self.scale, self.field, self.turn, self.link_scale
+            inputs = (self.matrix, self.rotation, scale, field, turn, link_scale, self.answer, direction)
+            compiled.loops.directions(n, *map(compiled.given, inputs), *result)
+            return result
+        linear = self.at(direction)
+        band, gradient = linear.normal_equations()
+        curvature = linear.curvature(self.field)
+        band[::2, 0] += curvature
+        band[1::2, 0] += curvature
+        return DirectionEquations(linear.basis, band, gradient)
 
     def at(self, direction: Array) -> LinearDirections:
         """Linearise at directions (3, n)."""

@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
+from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.banded import BandFactor
@@ -198,18 +198,13 @@ class FieldChain:
         """Return the state with the directions optimised for its θ, which is unchanged."""
         sight = self._sight(state, weights)
         for _ in range(_SETTLING):
-            linear = sight.at(state.direction)
-            band, pull = linear.normal_equations()
-            curvature = linear.curvature(sight.field)
-            band[::2, 0] += curvature
-            band[1::2, 0] += curvature
-            known = self.known(state, linear.basis)
+            equations = sight.equations(state.direction)
+            known = self.known(state, equations.basis)
             if known is not None:
-                known.onto_first(band, pull)
-            tangent, _ = dpbtrs(self._factor(band), pull.T.ravel(), lower=1)
-            ahead = stepped(state.direction, linear.basis, tangent)
-            moved = float(np.square(ahead - state.direction).max())
-            state = ChainState(state.parameters, ahead)
+                known.onto_first(equations.band, equations.gradient)
+            direction, moved, failed = equations.stepped(state.direction)
+            self._check(failed)
+            state = ChainState(state.parameters, direction)
             if moved < _SETTLED:
                 break
         return state
@@ -231,12 +226,6 @@ class FieldChain:
             self.link_scale * np.sqrt(weights.link),
             None if self.bend is None else self.bend.answer,
         )
-
-    def _factor(self, band: Array) -> Array:
-        """Return the Cholesky factor (4, 2n) of a band (2n, 4)."""
-        factor, failed = dpbtrf(band.T, lower=1)
-        self._check(failed)
-        return np.asarray(factor)
 
     def _check(self, failed: int) -> None:
         """Raise an error if the matrix of the directions has no factor, from a row on."""

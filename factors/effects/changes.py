@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg import solve_banded
 
 from magyc_gtsam.factors.chain.rotations import Array
@@ -94,7 +95,8 @@ def drift(s: Signals, setting: Setting) -> Array:
     order = int(setting["order"])
     if order == 0:
         return per_axis(share[None] - 0.5)
-    return per_axis(np.cos(np.pi * np.arange(1, order + 1)[:, None] * np.clip(share, 0.0, 1.0)))
+    cosine = np.cos(np.pi * np.clip(share, 0.0, 1.0))
+    return per_axis(chebvander(cosine, order).T[1:])  # of order k: cos k φ
 
 
 def temperature_gain(s: Signals, setting: Setting) -> Array:

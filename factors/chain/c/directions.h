@@ -17,14 +17,10 @@ WIDE_VECTORS static void less_directions(size n, size p, in_t jacobian, in_t sol
         }
 }
 
-/* The directions after a step on θ: of half (p + 1, 2n), the last row is of the gradient. */
-WIDE_VECTORS static void step_directions(size n, size p, in_t factor, in_t inverse, in_t half, in_t step, in_t basis,
-                                         in_t direction, out_t pull, out_t moved)
+/* The directions moved by a step in their tangent planes that solves Lᵀ x = pull (2n,), which becomes x. */
+WIDE_VECTORS static void back_and_moved(size n, in_t factor, in_t inverse, in_t basis, in_t direction, out_t pull,
+                                        out_t moved)
 {
-    memcpy(pull, half + 2 * n * p, sizeof(double) * 2 * (size_t)n);
-    for (size i = 0; i < p; i++)
-        for (size t = 0; t < 2 * n; t++)
-            pull[t] += step[i] * half[2 * n * i + t];
     double one = 0.0, two = 0.0, three = 0.0; /* the rows below */
     for (size r = 2 * n - 1; r >= 0; r--) {
         const double *f = factor + 4 * r;
@@ -43,6 +39,17 @@ WIDE_VECTORS static void step_directions(size n, size p, in_t factor, in_t inver
         moved[n + t] = y / norm;
         moved[2 * n + t] = z / norm;
     }
+}
+
+/* The directions after a step on θ: of half (p + 1, 2n), the last row is of the gradient. */
+WIDE_VECTORS static void step_directions(size n, size p, in_t factor, in_t inverse, in_t half, in_t step, in_t basis,
+                                         in_t direction, out_t pull, out_t moved)
+{
+    memcpy(pull, half + 2 * n * p, sizeof(double) * 2 * (size_t)n);
+    for (size i = 0; i < p; i++)
+        for (size t = 0; t < 2 * n; t++)
+            pull[t] += step[i] * half[2 * n * i + t];
+    back_and_moved(n, factor, inverse, basis, direction, pull, moved);
 }
 
 /* result (9, n) = rotation + its derivatives (3, 3, 3, n) by the bias and (9, n) by the delay times their changes. */

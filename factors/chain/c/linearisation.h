@@ -66,21 +66,36 @@ WIDE_VECTORS static void times(size some, in_t scale, out_t y)
         y[t] *= scale[t];
 }
 
-/* The windows `first` to first + some: their Jacobians, and what they add to the border. */
-static void of_stretch(const Chain *k, size first, size some)
+/* The windows `first` to first + some: their tangent bases and Jacobians on the directions, M g (3, STRETCH), whitened,
+   and B M g, which starts the residual (3, n). */
+static void directions_of_stretch(const Chain *k, size first, size some, double *body, double *residual)
 {
-    size n = k->n, last = k->parameters;
+    size n = k->n;
     const double *g = k->direction + first, *scale = k->scale + first;
-    double white[3 * STRETCH], body[3 * STRETCH], swung[3 * STRETCH];
-    double *basis = k->basis + first, *on_direction = k->on_direction + first, *columns = k->columns + first;
+    double *basis = k->basis + first, *on_direction = k->on_direction + first;
     tangents(some, g, n, basis, n);
     for (int a = 0; a < 2; a++) { /* B M times each tangent */
         turned_each(some, k->rotation + first, 3 * n, n, basis + a * n, 2 * n, scale, body, STRETCH);
         turned_by(some, k->matrix, body, STRETCH, on_direction + a * n, 2 * n);
     }
     turned_each(some, k->rotation + first, 3 * n, n, g, n, scale, body, STRETCH);
-    double *residual = columns + 3 * n * last;
     turned_by(some, k->matrix, body, STRETCH, residual, n);
+    for (int i = 0; k->answer && i < 3; i++) {
+        const double *answer = k->answer + i * n + first;
+        for (int a = 0; a < 2; a++)
+            times(some, answer, on_direction + (2 * i + a) * n);
+        times(some, answer, residual + i * n);
+    }
+}
+
+/* The windows `first` to first + some: their Jacobians, and what they add to the border. */
+static void of_stretch(const Chain *k, size first, size some)
+{
+    size n = k->n, last = k->parameters;
+    const double *g = k->direction + first, *scale = k->scale + first;
+    double white[3 * STRETCH], body[3 * STRETCH], swung[3 * STRETCH];
+    double *on_direction = k->on_direction + first, *columns = k->columns + first, *residual = columns + 3 * n * last;
+    directions_of_stretch(k, first, some, body, residual);
     turned_by(some, k->swing, body, STRETCH, swung, STRETCH);
     /* On vech(S): Exp(ε) M g where the entry of S meets it; on h the scale. */
     static const int meets[6][2] = {{0, 0}, {0, 1}, {0, 2}, {1, 1}, {1, 2}, {2, 2}};
@@ -115,10 +130,8 @@ static void of_stretch(const Chain *k, size first, size some)
         const double *field = k->field + i * n + first;
         if (k->answer) {
             const double *answer = k->answer + i * n + first;
-            for (size p = 0; p <= last; p++)
+            for (size p = 0; p < last; p++)
                 times(some, answer, columns + (3 * p + i) * n);
-            for (int a = 0; a < 2; a++)
-                times(some, answer, on_direction + (2 * i + a) * n);
         }
         for (size t = 0; t < some; t++)
             residual[i * n + t] -= field[t];
@@ -130,13 +143,13 @@ static void of_stretch(const Chain *k, size first, size some)
     }
 }
 
-/* The links `first` to first + some. `before` is minus the rotated tangents. */
-WIDE_VECTORS static void of_link_stretch(const Chain *k, size first, size some)
+/* The links `first` to first + some: their Jacobians on the directions, E g (3, STRETCH), whitened, and the residual
+   (3, n − 1). `before` is minus the rotated tangents. */
+WIDE_VECTORS static void links_of_stretch(const Chain *k, size first, size some, double *turned, double *residual)
 {
-    size n = k->n, m = n - 1, last = k->parameters;
+    size n = k->n, m = n - 1;
     const double *g = k->direction + first, *scale = k->link_scale + first, *basis = k->basis + first;
-    double *links = k->links + first, *before = k->before + first, *after = k->after + first;
-    double minus[STRETCH], turned[3 * STRETCH];
+    double *before = k->before + first, *after = k->after + first, minus[STRETCH];
     for (size t = 0; t < some; t++)
         minus[t] = -scale[t];
     turned_each(some, k->turn + first, 3 * m, m, g, n, scale, turned, STRETCH);
@@ -147,8 +160,17 @@ WIDE_VECTORS static void of_link_stretch(const Chain *k, size first, size some)
             for (size t = 0; t < some; t++)
                 after[(2 * i + a) * m + t] = basis[(2 * i + a) * n + t + 1] * scale[t];
         for (size t = 0; t < some; t++)
-            links[(9 + i) * m + t] = g[i * n + t + 1] * scale[t] - turned[i * STRETCH + t];
+            residual[i * m + t] = g[i * n + t + 1] * scale[t] - turned[i * STRETCH + t];
     }
+}
+
+/* The links `first` to first + some: their Jacobians on the bias, too, and what they add to the border. */
+static void of_link_stretch(const Chain *k, size first, size some)
+{
+    size n = k->n, m = n - 1, last = k->parameters;
+    double *links = k->links + first, *before = k->before + first, *after = k->after + first;
+    double turned[3 * STRETCH];
+    links_of_stretch(k, first, some, turned, links + 9 * m);
     for (int p = 0; p < 3; p++) /* lever × E g */
         for (int i = 0; i < 3; i++) {
             int j = (i + 1) % 3, l = (i + 2) % 3;

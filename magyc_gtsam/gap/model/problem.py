@@ -122,8 +122,8 @@ class Problem:
         return cls(
             recording,
             samples,
-            _others(recording, samples.magnetometer_time),
-            _others(recording, samples.gyroscope_time),
+            _others(recording, samples, samples.magnetometer_time),
+            _others(recording, samples, samples.gyroscope_time),
             short_term_noise(recording).gyroscope,
         )
 
@@ -156,28 +156,34 @@ class Problem:
 
     def mean(self, values: Array) -> Array:
         """Return the means (..., n) over the windows of values (..., M) at the magnetometer's samples."""
-        count = np.diff(np.append(self.samples.starts, values.shape[-1]))
-        result: Array = np.add.reduceat(values, self.samples.starts, axis=-1) / count
-        return result
+        return _over_windows(self.samples, values)
 
 
-def _others(recording: Recording, at: Array) -> Signals:
+def _over_windows(samples: Preintegration, values: Array) -> Array:
+    count = np.diff(np.append(samples.starts, values.shape[-1]))
+    result: Array = np.add.reduceat(values, samples.starts, axis=-1) / count
+    return result
+
+
+def _others(recording: Recording, samples: Preintegration, at: Array) -> Signals:
     """Return acceleration and channels at given times.
 
-    Rows that have gaps (`channel_holes`) or are constant carry no information and are set to 0; a kind of channel
-    without another row is left out.
+    Rows that have gaps (`channel_holes`), or are constant over the windows, carry no information and are set to 0; a
+    kind of channel without another row is left out.
     """
     time = recording.time
 
-    def interpolated(rows: Array) -> Array:
+    def interpolated(rows: Array, at: Array) -> Array:
         return np.stack([np.interp(at, time[np.isfinite(r)], r[np.isfinite(r)]) for r in rows])
 
-    acceleration = None if recording.acceleration is None else interpolated(recording.acceleration.T)
+    acceleration = None if recording.acceleration is None else interpolated(recording.acceleration.T, at)
     channels = {}
     for kind, rows in channels_by_kind(recording.channels).items():
-        usable = [bool(np.isfinite(r).all()) and np.std(r) > _STILL * np.max(np.abs(r)) for r in rows]
-        if any(usable):
-            channels[kind] = interpolated(np.where(np.array(usable)[:, None], rows, 0.0))
+        rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, 0.0)
+        means = _over_windows(samples, interpolated(rows, samples.magnetometer_time))
+        still = means.std(axis=1, keepdims=True) <= _STILL * np.abs(rows).max(axis=1, keepdims=True)
+        if not still.all():
+            channels[kind] = interpolated(np.where(still, 0.0, rows), at)
     return Signals(at, acceleration=acceleration, channels=channels)
 
 
@@ -188,17 +194,26 @@ def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
         MagycError: the terms are so large that the iteration diverges: a reading belongs to more than one rate.
     """
     measured: Array = problem.samples.angular_rate.T - bias[:, None]
+    following, others = (
+        [t for t in terms if ("rate" in FORMS[t.name].needs) == follows] for follows in (True, False)
+    )
+
+    def added(by: Sequence[Active], rate: Array) -> Array:
+        signals = replace(problem.gyroscope, rate=rate)
+        return sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in by), np.zeros(rate.shape))
+
+    measured = measured - added(others, measured)
     true, changes = measured, [np.inf]
-    for _ in range(_PASSES if terms else 0):
-        signals, before = replace(problem.gyroscope, rate=true), true
-        true = measured - sum(FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms)
+    for _ in range(_PASSES if following else 0):
+        before = true
+        true = measured - added(following, true)
         changes.append(float(np.abs(true - before).max()))
         if changes[-1] < _CLOSE:
             break
         if not changes[-1] < _RUNAWAY * changes[1]:
             raise MagycError(
-                f"{' and '.join(t.name for t in terms)}: with values this large, one reading corresponds to more than "
-                "one rate"
+                f"{' and '.join(t.name for t in following)}: with values this large, one reading corresponds to more "
+                "than one rate"
             )
     return true
 
