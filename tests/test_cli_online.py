@@ -334,7 +334,8 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
         (("{log}", "--state", "."), ""),
         (
             ("{log}", "--field-strength", "0"),
-            "field_strength: must be that of the Earth, 20e-6 to 70e-6 T, got 0 T",
+            "field_strength: must be that of the Earth, 20e-6 to 70e-6 T (8e-06 to 0.000175 T is accepted), "
+            "got 0 T (0 µT)",
         ),
         (
             ("{log}", "--option", "field_strength=strong"),

@@ -16,6 +16,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.cli import main
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.recording import Samples
+from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.single_samples import ZeroRates
@@ -316,14 +317,33 @@ def test_real_logs_have_none(shared_data: Path) -> None:
             assert not has_spikes(recording.gyroscope.value), log.name
 
 
-def test_a_unit_taken_for_another(wide: Simulation) -> None:
-    """Milligauss read as microtesla: ten times the field, which no check of the samples can tell from hard iron."""
-    recording = wide.recording
-    wrong = mg.Recording(recording.time, 10 * recording.magnetic_field, recording.angular_rate)
-    calibration = mg.calibrate(wrong)
+@pytest.mark.parametrize("way", ["calibrate", "online", "gap"])
+def test_a_unit_taken_for_another(way: str) -> None:
+    """Raw counts read as microtesla: 6.7 times the field, which no check of the samples can tell from hard iron."""
+    recording = mg.simulate("wide", duration=300, seed=1).recording
+    wrong = mg.Recording(recording.time, 6.7 * recording.magnetic_field, recording.angular_rate)
+    if way == "online":
+        online = mg.OnlineCalibrator()
+        online.update(wrong.time, wrong.magnetic_field, wrong.angular_rate)
+        assert not online.converged
+        calibration = online.calibration
+    else:
+        calibration = mg.calibrate(wrong) if way == "calibrate" else mg.find_gap(wrong).calibration
+    assert calibration is not None
     assert not calibration.trusted
-    assert "µT strong, the Earth's is 20 to 70" in calibration.message
-    assert "magnetic_unit=" in calibration.message
+    reason = judged(calibration, wrong).reason
+    assert "µT strong, the Earth's is 20 to 70" in reason
+    assert "magnetic_unit=" in reason
+
+
+@pytest.mark.parametrize("method", ["smoother", "wu-shi"])
+def test_a_scale_that_the_known_strength_contradicts(method: str) -> None:
+    """Readings of 3.4 times the field at the place: 166 µT, which a place that is not known would admit."""
+    recording = mg.simulate("wide", seed=1).recording
+    wrong = mg.Recording(recording.time, 3.4 * recording.magnetic_field, recording.angular_rate)
+    calibration = mg.calibrate(wrong, method, field_strength=49e-6)
+    assert not calibration.trusted
+    assert re.search(r"1[67]\d µT strong, that of the place is 49 \(19.6 to 122 is accepted\)", calibration.message)
 
 
 def test_a_sample_of_no_magnetometer(wide: Simulation) -> None:

@@ -20,7 +20,7 @@ _LARGEST_RATE = 70.0  # rad/s, twice the range of the fastest common gyroscopes
 _LONGEST_DELAY = 60.0  # s
 _LARGEST_CONDITION_NUMBER = 1e6  # largest condition number of the soft iron
 _SCALE_RANGE = (1e-3, 1e3)  # geometric mean of the soft iron's singular values
-_PLAUSIBLE_FIELD = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with a factor 2.5 for the scale
+PLAUSIBLE_FIELD = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with a factor 2.5 for the scale
 _ASYMMETRY = 1e-6  # largest asymmetry of a covariance, relative to its largest element
 _KINDS = {
     "converged": (bool | np.bool_, "true or false"),
@@ -88,7 +88,7 @@ def warn_if_implausible(field: Array) -> None:
     """Warn the caller's caller if the median strength of a calibrated field (N, 3) or (3,) T is not the Earth's."""
     strength = np.linalg.norm(np.atleast_2d(field), axis=1)
     median = float(np.median(strength)) if len(strength) else np.nan
-    low, high = _PLAUSIBLE_FIELD
+    low, high = PLAUSIBLE_FIELD
     if np.isfinite(median) and not low <= median <= high:
         warnings.warn(
             f"apply: the calibrated field has a median strength of {median * 1e6:.3g} µT, outside "

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.gauge import check_field_strength, check_noise, doubt_strength
+from magyc_gtsam.estimators.gauge import IronScale, check_field_strength, check_noise, doubt_strength
 from magyc_gtsam.estimators.method import Method, methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
@@ -209,8 +209,9 @@ def calibrate(
     if left_out:
         message = f"{result.message}; left out: {'; '.join(left_out)}"
         result = replace(result, message=message, diagnostics={**result.diagnostics, "left_out": left_out})
-    if field_strength is None and result.field_strength is not None and result.trusted and not counts:
-        doubt = doubt_strength(result.field_strength)
+    if result.trusted and result.field_strength is not None and not counts:
+        measured = IronScale.of(result.field_strength * result.soft_iron).strength
+        doubt = doubt_strength(measured, field_strength)
         if doubt:
             result = replace(result, converged=False, message=f"{doubt}; {result.message}")
     if usable.clipped is not None:

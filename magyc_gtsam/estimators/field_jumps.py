@@ -66,14 +66,14 @@ def field_jumps(recording: Recording) -> tuple[FieldJump, ...]:
     return tuple(FieldJump(float(middle[k] - recording.time[0]), float(left[k])) for k in peaks)
 
 
-def beyond_turning(recording: Recording) -> float | None:
-    """Return the field's range (T) along its widest axis, if larger than rotation in the Earth's field can cause.
+def beyond_turning(recording: Recording, strength: float | None = None) -> float | None:
+    """Return the field's range (T) along its widest axis, if larger than rotation can cause.
 
-    None if rotation can explain the range.
+    None if rotation can explain the range, in the Earth's field or in one of the calibrated `strength` in T.
     """
     low, high = np.percentile(recording.magnetic_field, (_FEW, 100 - _FEW), axis=0)
     swept = float(np.max(high - low))
-    return swept if swept > 2 * _STRETCH * EARTH_FIELD[1] else None
+    return swept if swept > 2 * _STRETCH * max(EARTH_FIELD[1], strength or 0.0) else None
 
 
 def _binned(time: Array, rotation: Array, field: Array) -> tuple[Array, Array, Array]:

@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.calibration.limits import PLAUSIBLE_FIELD
 from magyc_gtsam.factors.chain.facts import field_strength as strength_of
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
-from magyc_gtsam.recording.checks import EARTH_FIELD
 
 _LARGEST_NOISE = (1e-3, 10.0)  # T, rad/s
 _SCALE = 2.5  # factor by which an instrument's scale may be wrong
@@ -26,8 +26,12 @@ def check_field_strength(value: Any) -> None:
         return
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
         raise MagycError(f"field_strength: must be a number of tesla, got {value!r}")
-    if not 1e-6 < value < 1e-3:
-        raise MagycError(f"field_strength: must be that of the Earth, 20e-6 to 70e-6 T, got {value:g} T")
+    if not PLAUSIBLE_FIELD[0] <= value <= PLAUSIBLE_FIELD[1]:
+        low, high = PLAUSIBLE_FIELD
+        raise MagycError(
+            f"field_strength: must be that of the Earth, 20e-6 to 70e-6 T ({low:g} to {high:g} T is accepted), got "
+            f"{value:g} T ({value * 1e6:.3g} µT)"
+        )
 
 
 def check_noise(value: Any) -> None:
@@ -49,17 +53,22 @@ def check_noise(value: Any) -> None:
         )
 
 
-def doubt_strength(strength: float) -> str:
-    """Return why the estimated strength, in T, cannot be that of the true field; "" if it can.
+def doubt_strength(measured: float, known: float | None) -> str:
+    """Return why the field as the sensor reads it cannot be that of the Earth; "" if it can.
 
-    The unknown scale of an instrument may be wrong by a factor of `_SCALE`, whereas a wrong unit is an error of ten.
+    The scale of an instrument may be wrong by a factor of `_SCALE`, whereas a wrong unit is an error of ten.
+
+    Args:
+        measured: T, the strength of the calibrated field if the soft iron has determinant 1.
+        known: T, the true strength; None if it is not known.
     """
-    low, high = EARTH_FIELD[0] / _SCALE, EARTH_FIELD[1] * _SCALE
-    if low <= strength <= high:
+    low, high = PLAUSIBLE_FIELD if known is None else (known / _SCALE, known * _SCALE)
+    if low <= measured <= high:
         return ""
+    of = "the Earth's is 20 to 70" if known is None else f"that of the place is {known * 1e6:.3g}"
     return (
-        f"the calibrated field is {strength * 1e6:.3g} µT strong, the Earth's is 20 to 70 ({low * 1e6:.3g} to "
-        f"{high * 1e6:.3g} is accepted): likely the unit is another (magnetic_unit=)"
+        f"the calibrated field is {measured * 1e6:.3g} µT strong, {of} ({low * 1e6:.3g} to {high * 1e6:.3g} is "
+        "accepted): likely the unit is another (magnetic_unit=)"
     )
 
 

@@ -132,7 +132,7 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
             times = [f"{jump.time:.0f} s" for jump in jumps]
             listed = times[0] if len(times) == 1 else f"{', '.join(times[:-1])} and {times[-1]}"
             return f"the field jumped at {listed}", f"run `mg.find_gap`, or {_INTERVAL}"
-        swept = beyond_turning(recording)
+        swept = beyond_turning(recording, calibration.field_strength)
         if swept is not None:
             size = f"the field changed by {swept * 1e6:.0f} µT, more than turning makes it"
             return f"a magnet came near ({size})", _INTERVAL

@@ -16,7 +16,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import field_jumps
-from magyc_gtsam.estimators.gauge import IronScale, fix_scale
+from magyc_gtsam.estimators.gauge import IronScale, doubt_strength, fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.model_error.verdict import variation
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
@@ -170,6 +170,8 @@ def calibration_of(
             return assess(given, judgement.soft_iron, unit, recording, parameters[6:9]).observable
 
         reasons += remedies(fit, colour * fit.widening, enough, options, recording)
+    elif wrong := doubt_strength(IronScale.of(unvech(parameters[:6])).strength, strength[0]):
+        reasons.insert(0, wrong)
     reasons += judgement.reasons
     upright = upright_facts(fit)
     unused = [fact.sentence for fact in upright if fact.contradiction]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.gauge import IronScale
+from magyc_gtsam.estimators.gauge import IronScale, doubt_strength
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
@@ -59,6 +59,9 @@ def judged(
         weakest = observability.weak[0]
         reasons.insert(0, f"too little motion: {weakest.sentence}")
         doubt = Doubt(f"too little motion to determine the {weakest.what}", weakest.remedy)
+    elif wrong := doubt_strength(IronScale.of(unvech(model.parameters[:6])).strength, None):
+        reasons.insert(0, wrong)
+        doubt = Doubt(*cause_and_action(wrong))
     told = [*reasons, calibration.message] if reasons else [calibration.message, judgement.remark]
     late = calibration.delay_sigma is not None
     whole = replace(
