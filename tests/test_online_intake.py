@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +46,7 @@ def test_a_few_stamps_far_behind_are_left_out_and_a_clock_that_is_set_back_is_no
     given = np.insert(time, [20, 40, 40, 40, 40, 40], [0.0, 50.0, 50.1, 50.2, 50.3, 50.4])
     assert taken(given, cut) == (time.tolist(), 6)
     with pytest.raises(mg.MagycError, match="time goes back from 105.900 to 50.500 s and stays there"):
-        taken(np.r_[time, 50 + 0.1 * np.arange(6)], cut)
+        taken(np.r_[time, 50 + 0.1 * np.arange(40)], cut)
 
 
 @pytest.mark.parametrize("step", [0.01, 0.1, 2.0, 30.0])
@@ -109,6 +112,30 @@ def test_a_copy_by_pickle_goes_on_alike(method: str) -> None:
     for one in (online, copied):
         one.update(*(each[301:] for each in rows))
     assert copied.calibration.hard_iron.tolist() == online.calibration.hard_iron.tolist()  # type: ignore[union-attr]
+
+
+def test_threads_take_turns() -> None:
+    """One thread per sensor: a block that both wrote back at once lost the stamps of the other."""
+    recording = mg.simulate("wide", 60, 50, seed=5).recording
+    online, together = mg.OnlineCalibrator(), threading.Barrier(2)
+
+    def give(sensor: str) -> None:
+        for first in range(0, len(recording.time), 2):
+            rows = slice(first, first + 2)
+            together.wait(10)
+            online.update(recording.time[rows], **{sensor: getattr(recording, sensor)[rows]})
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(2) as pool:
+            for driver in [pool.submit(give, name) for name in ("magnetic_field", "angular_rate")]:
+                driver.result()
+    finally:
+        sys.setswitchinterval(interval)
+    assert online.taken_until == (recording.time[-1], recording.time[-1])
+    assert online.progress.left_out == 0
+    assert online.calibration is not None
 
 
 def test_what_is_no_number_is_refused() -> None:

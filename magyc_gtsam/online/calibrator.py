@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -21,6 +22,7 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import cells
 from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
 from magyc_gtsam.online.intake import Intake, scalar, vector
+from magyc_gtsam.online.locked import locked
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
 from magyc_gtsam.sensor_faults.faults import SensorFaults
@@ -45,6 +47,8 @@ class OnlineCalibrator:
         online.calibration, online.converged, online.progress.sentence
         online.save("online.npz"); online = OnlineCalibrator.load("online.npz")
 
+    Several threads may use it at the same time.
+
     Args:
         method: "smoother" (maximum likelihood) or "magyc-ifg" (the MAGYC paper's incremental factor graph).
         options: options of the method; they become part of the saved state.
@@ -64,6 +68,7 @@ class OnlineCalibrator:
             there = ", ".join(sorted(engine.options))
             raise MagycError(f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {there}")
         check_field_strength(options.get("field_strength"))
+        self._lock = threading.RLock()
         self.method = method
         # The state file needs an earlier calibration as JSON types.
         self.options = json_types(options, finite=False)
@@ -76,6 +81,7 @@ class OnlineCalibrator:
         self._before: list[str] = list(earlier.get("diagnostics", {}).get("recordings", ()))
         self._waiting: list[tuple[float, Array, Array]] = []  # single samples not yet taken
 
+    @locked
     def update(
         self, time: ArrayLike, magnetic_field: ArrayLike | None = None, angular_rate: ArrayLike | None = None
     ) -> None:
@@ -145,6 +151,7 @@ class OnlineCalibrator:
         return "the earlier calibration has samples of this run, which count twice: start anew without it (prior=)"
 
     @property
+    @locked
     @one_thread
     def calibration(self) -> Calibration | None:
         """The current estimate with covariance, `converged` and `message`; None before there is one.
@@ -165,6 +172,7 @@ class OnlineCalibrator:
         return self._read
 
     @property
+    @locked
     @one_thread
     def converged(self) -> bool:
         """Whether the estimate has settled: it was trusted at the last refit, which changed it little.
@@ -175,6 +183,7 @@ class OnlineCalibrator:
         return self._engine.converged() and not refusal(self._faults) and not self._counted_twice
 
     @property
+    @locked
     @one_thread
     def progress(self) -> Progress:
         """The progress, the weak directions and the motion that helps."""
@@ -194,18 +203,21 @@ class OnlineCalibrator:
         return float(cells(direction).mean())
 
     @property
+    @locked
     def field(self) -> Array:
         """A copy of the magnetometer samples (n, 3) T that are kept, or of a part of them."""
         self._catch_up()
         return self._engine.field().copy()
 
     @property
+    @locked
     def changes(self) -> tuple[Change, ...]:
         """The steps in hard iron found so far, oldest first."""
         self._catch_up()
         return self._engine.changes()
 
     @property
+    @locked
     def taken_until(self) -> tuple[float, float]:
         """The stamps, s, of the last sample taken of magnetometer and gyroscope; −inf before the first.
 
@@ -214,6 +226,7 @@ class OnlineCalibrator:
         self._catch_up()
         return self._intake.until
 
+    @locked
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the whole state to one file, replacing it atomically, so that an interruption loses no saved state."""
         self._catch_up()
@@ -235,6 +248,7 @@ class OnlineCalibrator:
             f"{part}/{name}": value for part, owner in self._parts.items() for name, value in owner.state().items()
         }
 
+    @locked
     def __reduce__(self) -> tuple[Any, ...]:  # copies and pickles as `save` and `load` do
         self._catch_up()
         return OnlineCalibrator._restored, (self.method, self.options, self._state())

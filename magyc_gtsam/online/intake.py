@@ -94,7 +94,7 @@ class _Stream:
         )  # the last row before that was not far behind
         run = place - since
         if run.max() > _CONFIRMED_BY:
-            row = int(run.argmax())
+            row = int((run > _CONFIRMED_BY).argmax())
             raise MagycError(
                 f"{self.name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s and stays there; "
                 "if a clock was set, save the calibration and start a new run"

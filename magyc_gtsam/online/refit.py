@@ -8,6 +8,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error import ModelError, model_error
+from magyc_gtsam.estimators.smoother import axes
 from magyc_gtsam.estimators.smoother.clock_drift import with_drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
@@ -132,14 +133,18 @@ def refit(online: SmootherState) -> None:
         if belief.past is not None and soft_iron_changed(fit):
             belief.past = belief.past.forget(SOFT_IRON)
             fit, samples = fit_samples(online, recording, search)
-    except (
-        MagycError
-    ) as problem:  # axes that disagree or too little motion: reported, and tried again with more data
-        belief.problem, belief.head, belief.estimate, belief.stable = str(problem), None, None, False
+    except MagycError as problem:
+        _give_up(online, problem)
         if later:
             restart_after_change(online)
         return
     estimate, report = _report(online, recording, fit, count)
+    if not report.converged and belief.past is None:
+        try:
+            axes.check(recording)  # a fit that starts at an earlier one leaves it out
+        except MagycError as problem:
+            _give_up(online, problem)
+            return
     if later and not report.converged and belief.drift is None and restart_after_change(online):
         return
     to_compare = _to_compare(fit, estimate, report)
@@ -159,6 +164,13 @@ def refit(online: SmootherState) -> None:
     belief.refitted = to_compare
     if settings.detect_changes and belief.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
         restart_at_convergence(online, fit, report)
+
+
+def _give_up(online: SmootherState, problem: MagycError) -> None:
+    """Report axes that disagree, or too little motion; the next refit tries again with more data."""
+    belief = online.belief
+    belief.problem, belief.head, belief.estimate, belief.stable = str(problem), None, None, False
+    belief.report = None  # of a fit that the problem contradicts
 
 
 def _plan_next(online: SmootherState, count: int) -> bool:
