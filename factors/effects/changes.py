@@ -42,6 +42,11 @@ def beyond_reference(channel: Array, setting: Setting) -> Array:
             f"an effect of channel {rows[-1] + 1} of its kind meets data with {len(channel)}; the recording must have "
             "the same channels as the one that was calibrated"
         )
+    if (absent := ~np.isfinite(channel[rows]).any(axis=1)).any():
+        raise MagycError(
+            f"an effect of channel {rows[int(absent.argmax())] + 1} of its kind meets data in which that has no value; "
+            "the recording must have the same channels as the one that was calibrated"
+        )
     result: Array = channel[rows] - np.array([[setting.get(f"reference_{i}", 0.0)] for i in rows])
     return result
 

@@ -35,6 +35,7 @@ class Form(NamedTuple):
     rotates: bool = False  # the value is a rotation vector that is applied to the rate exactly, not to first order
     # Columns per unit of half the square of each value, of a form that is followed to second order.
     second: Callable[[Signals], Array] | None = None
+    remembers: bool = False  # its columns at one sample depend on other samples, too
 
     def evaluate(self, signals: Signals, value: Array, setting: Setting) -> Array:
         """Return the effect's contribution (3, n) to the reading, in T or rad/s."""
@@ -164,8 +165,6 @@ def _hysteresis(s: Signals, setting: Setting) -> Array:
     have another direction; without a direction, each axis has its own loop.
     """
     path = s.path
-    if path.shape[1] < 2:
-        raise MagycError("hysteresis: it depends on what came before, so it needs the whole recording")
     along = np.eye(3) if "x" not in setting else np.array([[setting["x"], setting["y"], setting["z"]]])
     y = along @ path.reshape(3, -1) / setting["coercive"]
     loop = np.stack([_stopped(row, _COERCIVE) for row in y])
@@ -217,7 +216,9 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "hard-iron-drift": Form("magnetometer", ("time",), changes.drift),
         "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
         "timing": Form("magnetometer", ("field_rate",), _timing),
-        "axis-delays": Form("magnetometer", ("time", "field_rate"), _axis_delays, second=_curvature),
+        "axis-delays": Form(
+            "magnetometer", ("time", "field_rate"), _axis_delays, second=_curvature, remembers=True
+        ),
         "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
         "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),
         "gyro-quadratic": Form("gyroscope", ("rate",), _gyro_quadratic),
@@ -226,10 +227,10 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "gyro-bias-drift": Form("gyroscope", ("time",), changes.drift),
         "g-sensitivity": Form("gyroscope", ("acceleration",), _g_sensitivity),
         "field-gradient": Form("magnetometer", ("position", "field"), _field_gradient),
-        "local-anomaly": Form("magnetometer", ("time", "to_sensor"), _local_anomaly),
+        "local-anomaly": Form("magnetometer", ("time", "to_sensor"), _local_anomaly, remembers=True),
         "saturation": Form("magnetometer", ("field", "hard_iron"), _saturation),
         "cubic": Form("magnetometer", ("field", "hard_iron"), _cubic),
-        "hysteresis": Form("magnetometer", ("field",), _hysteresis),
+        "hysteresis": Form("magnetometer", ("field",), _hysteresis, remembers=True),
         "tone": Form("magnetometer", ("time",), _tone),
     }
 )

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.calibration.limits import checked, warn_if_implausible
 from magyc_gtsam.calibration.serialization import as_mapping, as_text, constructor_arguments
-from magyc_gtsam.calibration.signals import as_signals, given_signals, vectors
+from magyc_gtsam.calibration.signals import as_signals, check_field_units, given_signals, vectors
 from magyc_gtsam.export import do_not_use, export
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate
 from magyc_gtsam.factors.effects.term import Term
@@ -92,32 +92,34 @@ class Calibration:
 
         Args:
             magnetic_field: (N, 3) or (3,) T, or a whole recording, which holds the signals that `terms` need.
-            signals: signals that `terms` need, unless a recording is given: time (N,) s, angular_rate and
-                acceleration (N, 3), channels {name: (N,) or (N, k)}.
+            signals: signals that `terms` need, unless a recording is given: time (N,) as in a `Recording`,
+                angular_rate and acceleration (N, 3), channels {name: (N,) or (N, k)}.
 
         Returns:
             (N, 3) or (3,) T, as the input; with a `misalignment` or exchanged axes (`axis-order`) in the gyroscope's
             axes, unless one of these is reversed, so that they are not a right-handed frame.
 
         Raises:
-            MagycError: wrong shape, or a term needs a signal that is missing.
+            MagycError: wrong shape or lengths, a recording in another unit than the calibration (counts, tesla), or
+                a term needs a signal that is missing, or the rows before a single one.
 
         Warns:
             UserWarning: the median strength of the result is outside 8 to 175 µT.
         """
         field = self.corrected(magnetic_field, **signals)
-        if self.configuration.get("magnetic_field_unit") != "counts":
+        if self.magnetic_field_unit == "T":
             warn_if_implausible(field)
         return field
 
     def corrected(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the result of `apply` without its warning, for callers that judge or show the strength."""
+        check_field_units(magnetic_field, self.magnetic_field_unit)
         given = given_signals(magnetic_field, "magnetic_field", signals)
         m = vectors("magnetic_field", given.pop("magnetic_field"))
+        rows = np.atleast_2d(m)
+        at = as_signals("magnetic_field", len(rows), given, self.terms)
         if not self.terms:
             return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
-        rows = np.atleast_2d(m)
-        at = as_signals(len(rows), given)
         if at.rate is not None and self.gyro_bias is not None:
             at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
         return corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at).T.reshape(m.shape)
@@ -133,16 +135,18 @@ class Calibration:
             (N, 3) or (3,) rad/s, as the input.
 
         Raises:
-            MagycError: the method estimates no gyroscope bias, wrong shape, or a term needs a signal that is missing.
+            MagycError: the method estimates no gyroscope bias, wrong shape or lengths, or a term needs a signal that
+                is missing, or the rows before a single one.
         """
         if self.gyro_bias is None:
             raise MagycError(f"method {self.method!r} does not estimate a gyroscope bias; choose one that does")
         given = given_signals(angular_rate, "angular_rate", signals)
         w = vectors("angular_rate", given.pop("angular_rate"))
+        rows = np.atleast_2d(w)
+        at = as_signals("angular_rate", len(rows), given, self.terms)
         if not self.terms:
             return w - self.gyro_bias
-        rows = np.atleast_2d(w)
-        return corrected_rate(rows.T, self.gyro_bias, self.terms, as_signals(len(rows), given)).T.reshape(w.shape)
+        return corrected_rate(rows.T, self.gyro_bias, self.terms, at).T.reshape(w.shape)
 
     @property
     def recording(self) -> Recording | None:
@@ -186,12 +190,18 @@ class Calibration:
 
     def __repr__(self) -> str:
         state = "trusted" if self.trusted else "not to be trusted"
-        iron = ", ".join(f"{value * 1e6:.2f}" for value in self.hard_iron)
-        return f"Calibration({self.method!r}, {state}, hard iron ({iron}) µT)"
+        scale, unit = (1e6, "µT") if self.magnetic_field_unit == "T" else (1.0, "counts")
+        iron = ", ".join(f"{value * scale:.2f}" for value in self.hard_iron)
+        return f"Calibration({self.method!r}, {state}, hard iron ({iron}) {unit})"
 
     def _repr_html_(self) -> str:
         text: str = _notebook().html_of(self)
         return text
+
+    @property
+    def magnetic_field_unit(self) -> str:
+        """Unit of the field that was calibrated, "T" or "counts"."""
+        return "counts" if self.configuration.get("magnetic_field_unit") == "counts" else "T"
 
     @property
     def trusted(self) -> bool:
@@ -233,7 +243,7 @@ class Calibration:
                 )
             trusted = replace(self, converged=True, observability=None)
             return do_not_use(reason, trusted.export(target, per_motor=per_motor))
-        if self.configuration.get("magnetic_field_unit") == "counts":
+        if self.magnetic_field_unit == "counts":
             raise MagycError("a calibration in raw counts cannot be exported; calibrate in tesla")
         compass = self.configuration.get("compass", 1)
         parameters = self.soft_iron, self.hard_iron, self.gyro_bias, self.terms

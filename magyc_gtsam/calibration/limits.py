@@ -108,7 +108,7 @@ def _check_covariance(name: str, covariance: Array) -> None:
 def _check_possible(calibration: Any, arrays: Mapping[str, Array], scale: float) -> None:
     """Raise a MagycError if no instrument has the values of a calibration whose soft iron has a mean `scale`."""
     limits = {"gyro_bias": (_LARGEST_RATE, "rad/s"), "delay": (_LONGEST_DELAY, "s")}
-    if calibration.configuration.get("magnetic_field_unit") != "counts":
+    if calibration.magnetic_field_unit == "T":
         limits |= {"hard_iron": (FIELD_RANGE, "T"), "field_strength": (FIELD_RANGE, "T")}
         low, high = _SCALE_RANGE
         if not low <= scale <= high:

@@ -2,56 +2,96 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import real_array
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.recording.checks import columns_of
+from magyc_gtsam.recording.checks import columns_of, frozen, named_channels
+from magyc_gtsam.recording.stamps import origin_of, seconds
+
+_VECTORS = ("magnetic_field", "angular_rate", "acceleration")
+_KNOWN = ("time", *_VECTORS, "channels")
 
 
 def given_signals(value: ArrayLike | Recording, name: str, signals: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the signals by name: all those of a recording, or the array `value` under `name` and `signals`.
+    """Return the signals by name: all those of a recording, or the array `value` under `name`; and `signals`.
 
     Raises:
         MagycError: a signal has an unknown name.
     """
-    known = ("time", "magnetic_field", "angular_rate", "acceleration", "channels")
-    if isinstance(value, Recording):
-        return {k: getattr(value, k) for k in known} | dict(signals)
-    unknown = sorted(signals.keys() - set(known))
+    unknown = sorted(signals.keys() - set(_KNOWN))
     if unknown:
-        raise MagycError(f"apply: no signal {', '.join(map(repr, unknown))}; there are {', '.join(known)}")
+        raise MagycError(f"apply: no signal {', '.join(map(repr, unknown))}; there are {', '.join(_KNOWN)}")
+    if isinstance(value, Recording):
+        return {k: getattr(value, k) for k in _KNOWN} | dict(signals)
     return {**signals, name: value}
 
 
-def as_signals(rows: int, given: Mapping[str, Any]) -> Signals:
-    """Return the result of `given_signals` as the `Signals` of the given number of rows; times are NaN without one."""
+def check_field_units(recording: ArrayLike | Recording, unit: str) -> None:
+    """Raise a MagycError if a recording is not in the unit of the field, "T" or "counts", of a calibration."""
+    if isinstance(recording, Recording) and recording.magnetic_field_unit != unit:
+        raise MagycError(
+            f"magnetic_field: must be in {unit}, the unit of the calibration, got a recording in "
+            f"{recording.magnetic_field_unit}; read the log in that unit (magnetic_unit=), or calibrate it anew"
+        )
 
-    def columns(name: str) -> Array | None:
-        return None if given.get(name) is None else np.atleast_2d(vectors(name, given[name])).T
 
-    time = np.full(rows, np.nan) if given.get("time") is None else np.asarray(given["time"], dtype=np.float64)
-    channels = channels_by_kind(given.get("channels") or {})
+def as_signals(name: str, rows: int, given: Mapping[str, Any], terms: Sequence[Term]) -> Signals:
+    """Return the result of `given_signals` as the `Signals` of a number of rows; times are NaN without one.
+
+    Args:
+        name: the array to which the calibration is applied, for messages.
+        rows: its number of rows.
+        given: the other signals.
+        terms: those of the calibration.
+
+    Raises:
+        MagycError: a signal does not hold numbers or has another number of rows, or there are too few rows for the
+            terms.
+    """
+    if terms and not rows:
+        raise MagycError(f"{name}: 0 rows, at least 1 is needed by a calibration with terms")
+    memory = [term.name for term in terms if term.remembers]
+    if memory and rows == 1:
+        raise MagycError(
+            f"{name}: 1 row; {' and '.join(memory)} depends on what came before, so it needs the whole recording"
+        )
+    held = {k: v for k, v in given.items() if v is not None}
+    time = np.full(rows, np.nan)
+    if "time" in held:
+        time = frozen("time", seconds("time", held["time"], origin_of(held["time"])), (rows,))
+    columns = {
+        k: frozen(k, np.atleast_2d(vectors(k, held[k])), (rows, 3), nan=True).T for k in _VECTORS if k in held
+    }
+    channels = {
+        k: frozen(f"channel {k!r}", v, (rows, ...), nan=True)
+        for k, v in named_channels(held.get("channels")).items()
+    }
     return Signals(
         time,
-        rate=columns("angular_rate"),
-        acceleration=columns("acceleration"),
-        channels={kind: np.stack([_filled(time, row) for row in value]) for kind, value in channels.items()},
+        rate=columns.get("angular_rate"),
+        acceleration=columns.get("acceleration"),
+        channels={
+            kind: np.stack([_filled(time, row) for row in value])
+            for kind, value in channels_by_kind(channels if terms else {}).items()
+            if np.isfinite(value).any()
+        },
     )
 
 
 def _filled(time: Array, row: Array) -> Array:
-    """Return a channel (n,) with its NaN interpolated linearly; zeros if it has no finite sample."""
+    """Return a channel (n,) with its NaN interpolated linearly, where it has finite samples and their times."""
     known = np.isfinite(row)
-    if known.all() or not np.isfinite(time).all():
+    if known.all() or not known.any() or not np.isfinite(time).all():
         return row
-    return np.interp(time, time[known], row[known]) if known.any() else np.zeros_like(row)
+    return np.interp(time, time[known], row[known])
 
 
 def vectors(name: str, value: ArrayLike) -> Array:

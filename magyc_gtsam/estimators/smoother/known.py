@@ -103,7 +103,7 @@ def _scaled(prior: Calibration) -> bool:
 
 def _covariance(prior: Calibration, options: SmootherOptions) -> Array:
     """Return the covariance (9, 9) of soft and hard iron."""
-    if prior.configuration.get("magnetic_field_unit") == "counts":
+    if prior.magnetic_field_unit == "counts":
         raise MagycError("prior: it is of raw counts, and the recording is in tesla; calibrate both in one unit")
     if prior.covariance is not None:
         return np.array(prior.covariance[:9, :9])
