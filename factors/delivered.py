@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.alignment import rotation_of
-from magyc_gtsam.factors.guard import factor_details
+from magyc_gtsam.factors.guard import check_kind, factor_details
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array
@@ -172,7 +172,12 @@ def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.L
     """Return the factor's quadratic at `point`, which must hold its keys: native, picklable and free of Python.
 
     For a `field_chain_factor` at its solution this is the marginal of the whole log, a prior for the next mission.
+
+    Raises:
+        MagycError: no factor or no values, or as the factor itself.
     """
+    check_kind("native factor: `factor`", factor, gtsam.NonlinearFactor, "a factor of GTSAM or of this package")
+    check_kind("native factor: `point`", point, gtsam.Values, "the gtsam.Values at which to linearise")
     return gtsam.LinearContainerFactor(_square_root(factor.linearize(point)), point)
 
 

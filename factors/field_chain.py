@@ -25,9 +25,9 @@ from magyc_gtsam.factors.chain.chain_values import (
 )
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
-from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import custom_factor
-from magyc_gtsam.factors.pose import given_keys
+from magyc_gtsam.factors.guard import check_delay, check_kind, custom_factor, standard_deviation
+from magyc_gtsam.factors.pose import check_unit, given_keys
+from magyc_gtsam.factors.units import check_noise, check_rate_noise, check_rates, check_readings
 from magyc_gtsam.factors.variables import Array, Variable, gyro_bias, scalar, skew_angles, vector
 
 _MOVED = 2e-3  # rad, rotation of a window by a changed bias or delay from which the gyroscope is integrated again
@@ -64,10 +64,10 @@ def field_chain_factor(
         soft_iron_unit, field_unit: T per unit of the keys; they keep a graph's variables of order one.
 
     Raises:
-        MagycError: immediately, for units that are not positive; later, as `custom_factor`.
+        MagycError: immediately, for samples, noise or a delay of another kind or unit, and units that are not
+            positive; later, as `custom_factor`.
     """
-    if not (soft_iron_unit > 0 and field_unit > 0):
-        raise MagycError(f"soft_iron_unit {soft_iron_unit} and field_unit {field_unit} must be above 0")
+    check_chain("field chain", samples, noise, delay, soft_iron_unit, field_unit)
     size = PARAMETERS if mounting_key is None else WITH_SKEW
     unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(size - 9)])
     marginal = _Marginal(samples, noise, weights, delay)
@@ -87,6 +87,25 @@ def field_chain_factor(
     keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *(key for key, _ in optional)]
     variables = [vector(6), vector(3), gyro_bias, *(variable for _, variable in optional)]
     return custom_factor("field chain", 1.0, keys, variables, len(rows) + 1, error)
+
+
+def check_chain(
+    name: str, samples: Preintegration, noise: SensorNoise, delay: float, soft_iron_unit: float, field_unit: float
+) -> None:
+    """Check the arguments that every factor of a chain has: kinds, units, finite numbers.
+
+    Raises:
+        MagycError: one of them is wrong.
+    """
+    check_unit(soft_iron_unit, "soft_iron_unit")
+    check_unit(field_unit)
+    check_kind(f"{name}: `samples`", samples, Preintegration, "a Preintegration of the samples of both sensors")
+    check_kind(f"{name}: `noise`", noise, SensorNoise, "SensorNoise(magnetometer T, gyroscope rad/s)")
+    check_noise(name, noise.magnetometer)
+    check_rate_noise(name, standard_deviation(noise.gyroscope, "the gyroscope"))
+    check_delay(name, delay)
+    check_readings(name, samples.magnetic_field)
+    check_rates(name, samples.angular_rate)
 
 
 def optional_keys(

@@ -17,7 +17,9 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.preintegration import interruptions
 from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
+from magyc_gtsam.factors.guard import Noise, Residual, check_kind, custom_factor, measured, standard_deviation
+from magyc_gtsam.factors.numbers import is_finite
+from magyc_gtsam.factors.units import check_rate_noise, check_rates
 from magyc_gtsam.factors.variables import Array, direction, gyro_bias
 
 
@@ -72,12 +74,16 @@ def preintegrate(
         interval_mean: the rates are means since the previous stamp instead.
 
     Raises:
-        MagycError: wrong shapes, values that are not finite, samples that do not cover the interval, or a pause of the
-            gyroscope within it (`interruptions`).
+        MagycError: wrong shapes or units, values that are not finite, samples that do not cover the interval, or a
+            pause of the gyroscope within it (`interruptions`).
     """
     t = measured("time", time, (None,))
     w = measured("angular_rate", angular_rate, (len(t), 3))
     b = measured("bias", bias, (3,))
+    check_rates("field link", w)
+    check_rates("field link: bias", b)
+    if not (is_finite(start) and is_finite(end)):
+        raise MagycError(f"field link from {start!r:.40} to {end!r:.40}; both must be finite numbers of s")
     if len(t) < 2 or (np.diff(t) <= 0).any() or not t[0] <= start < end <= t[-1]:
         covered = f"{t[0]:.3f} to {t[-1]:.3f} s" if len(t) else "none"
         raise MagycError(
@@ -124,10 +130,15 @@ def field_link_factor(
         gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`.
         link: as returned by `preintegrate`.
         gyroscope_noise: σ_g rad/s per sample and axis, or a noise model of the 3 rows in rad.
+
+    Raises:
+        MagycError: no link, or a noise that no gyroscope has.
     """
+    check_kind("field link: `link`", link, FieldLink, "what preintegrate returns")
     if isinstance(gyroscope_noise, gtsam.noiseModel.Base):
         noise = gyroscope_noise
     else:
-        noise = gyroscope_noise * np.sqrt(link.squared_time)
+        check_rate_noise("field link", gyroscope_noise)
+        noise = standard_deviation(gyroscope_noise, "the gyroscope") * np.sqrt(link.squared_time)
     keys = (first_direction_key, second_direction_key, gyro_bias_key)
     return custom_factor("field link", noise, keys, [direction, direction, gyro_bias], 3, link.error)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.numbers import is_positive, real_array
+from magyc_gtsam.factors.numbers import is_finite, is_positive, numbers, real_array
 from magyc_gtsam.factors.variables import Array, Variable, key_name, reader
 
 Residual = tuple[Array, Sequence[Array]]
@@ -67,12 +67,7 @@ def custom_factor(
             missing or of another type, or a shape is wrong.
         NonFiniteError: later, if a variable, the residual or a Jacobian is not finite.
     """
-    keys = [_index(name, key) for key in keys]
-    if len(keys) != len(variables) or len(set(keys)) != len(keys):
-        raise MagycError(
-            f"{name}: {len(variables)} different keys are needed, got {', '.join(map(key_name, keys)) or 'none'}"
-        )
-
+    keys = checked_keys(name, keys, len(variables))
     readers = [reader(name, variable, key) for variable, key in zip(variables, keys, strict=True)]
 
     def evaluate(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
@@ -117,17 +112,36 @@ def factor_details(factor: gtsam.NonlinearFactor) -> Any:
     return _asked.answer
 
 
+def checked_keys(name: str, keys: Sequence[Any], count: int) -> list[int]:
+    """Return the keys of a factor as integers.
+
+    Raises:
+        MagycError: one is no key, or they are not `count` different ones.
+    """
+    indices = [_index(name, key) for key in keys]
+    if len(indices) != count or len(set(indices)) != count:
+        raise MagycError(
+            f"{name}: {count} different keys are needed, got {', '.join(map(key_name, indices)) or 'none'}"
+        )
+    return indices
+
+
+def listed_keys(keys: Any) -> list[Any]:
+    """Return the keys of an argument that takes one key or several."""
+    return list(keys) if np.iterable(keys) else [keys]
+
+
 def _index(name: str, key: Any) -> int:
     """Return a key as an integer.
 
     Raises:
-        MagycError: it is no key: text, a fraction, or negative.
+        MagycError: it is no key: text, a fraction, negative, or of more than 64 bits.
     """
     try:
         index = operator.index(key)
     except TypeError:
         index = -1
-    if index < 0 or isinstance(key, bool):
+    if not 0 <= index < 2**64 or isinstance(key, bool):
         raise MagycError(f"{name}: {key!r:.40} is not a key; give one as gtsam.symbol_shorthand makes them, X(0)")
     return index
 
@@ -141,11 +155,37 @@ def noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
     return gtsam.noiseModel.Isotropic.Sigma(rows, standard_deviation(noise))
 
 
-def standard_deviation(sigma: float) -> float:
+def standard_deviation(sigma: float, name: str = "a residual") -> float:
     """Return `sigma` after checking that it is finite and above 0."""
     if not is_positive(sigma):
-        raise MagycError(f"standard deviation {sigma!r:.40} of a residual; it must be finite and above 0")
+        raise MagycError(f"standard deviation {sigma!r:.40} of {name}; it must be a number, finite and above 0")
     return float(sigma)
+
+
+def standard_deviations(name: str, sigma: ArrayLike, size: int) -> Array:
+    """Return one standard deviation, or `size` of them, as (size,).
+
+    Raises:
+        MagycError: another number of them, no numbers, not finite, or not above 0.
+    """
+    stated = numbers(f"{name}: standard deviation", sigma)
+    if stated.shape not in ((), (1,), (size,)) or not (np.isfinite(stated).all() and (stated > 0).all()):
+        raise MagycError(
+            f"{name}: standard deviation {stated.tolist()!r:.60}; it must be one number or {size}, finite and above 0"
+        )
+    return np.broadcast_to(stated, (size,))
+
+
+def check_kind(name: str, value: Any, kind: type, source: str) -> None:
+    """Raise a MagycError unless an argument is of a kind; `source` says what gives one."""
+    if not isinstance(value, kind):
+        raise MagycError(f"{name} is a {type(value).__name__}; give {source}")
+
+
+def check_delay(name: str, delay: Any) -> None:
+    """Raise a MagycError unless a delay is a finite number."""
+    if not is_finite(delay):
+        raise MagycError(f"{name}: delay {delay!r:.40}; it must be a finite number of s")
 
 
 def measured(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:

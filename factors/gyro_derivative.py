@@ -21,6 +21,7 @@ from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured, standard_deviation
 from magyc_gtsam.factors.kernels import robustify, tuning_constant
+from magyc_gtsam.factors.units import check_rates
 from magyc_gtsam.factors.variables import Array, gyro_bias, vector
 
 Samples = tuple[Array, Array, Array]
@@ -92,9 +93,10 @@ def gyro_derivative_factor(
         tuning: constant of the kernel; default 95 % efficiency.
 
     Raises:
-        MagycError: wrong shapes, values that are not finite, unknown kernel.
+        MagycError: wrong shapes, values that are not finite, rates in another unit, unknown kernel.
     """
     samples = derivative_samples(magnetic_field, derivative, angular_rate)
+    check_rates("gyro derivative", samples[2])
     rows = 3 * len(samples[0])
     keys, keys_read = (soft_iron_key, hard_iron_key, gyro_bias_key), [vector(6), vector(3), gyro_bias]
 

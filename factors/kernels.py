@@ -90,10 +90,9 @@ def kernel(name: str) -> Kernel:
     Raises:
         MagycError: there is none.
     """
-    try:
-        return KERNELS[name]
-    except KeyError:
-        raise MagycError(f"robust kernel {name!r} unknown; there are {', '.join(KERNELS)}") from None
+    if not isinstance(name, str) or name not in KERNELS:
+        raise MagycError(f"robust kernel {name!r:.40} unknown; there are {', '.join(KERNELS)}")
+    return KERNELS[name]
 
 
 def tuning_constant(name: str, dimension: int, tuning: float | None = None) -> float:

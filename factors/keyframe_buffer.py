@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import check_delay
 from magyc_gtsam.factors.keyframe_field import KeyframeField
-from magyc_gtsam.factors.numbers import is_finite, real_array
+from magyc_gtsam.factors.numbers import real_array
 from magyc_gtsam.factors.pose import sensor_rotation
 from magyc_gtsam.factors.units import LIMITS, check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
@@ -34,8 +35,7 @@ class KeyframeBuffer:
         self, *, body_R_sensor: gtsam.Rot3 | None = None, delay: float = 0.0, interval_mean: bool = False
     ) -> None:
         sensor_rotation(body_R_sensor)  # refused here, before any sample is lost
-        if not is_finite(delay):
-            raise MagycError(f"keyframe buffer: delay {delay!r:.40}; it must be a finite number of s")
+        check_delay("keyframe buffer", delay)
         self._mounting, self._delay, self._interval_mean = body_R_sensor, delay, interval_mean
         self._field_time: list[float] = []
         self._field: list[list[float]] = []

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Residual, custom_factor, standard_deviation
+from magyc_gtsam.factors.guard import Residual, check_kind, custom_factor
 from magyc_gtsam.factors.kernels import robustify, tuning_constant
 from magyc_gtsam.factors.keyframe_field import KeyframeField
 from magyc_gtsam.factors.one_thread import one_thread
@@ -144,11 +144,10 @@ def keyframe_field_factor(
             f"{name}: `noise` is a noise model; give the standard deviation of a sample in T, a number, which the "
             "block whitens by itself (for outliers `robust`)"
         )
-    if not isinstance(block, KeyframeField):
-        raise MagycError(f"{name}: `block` is a {type(block).__name__}; give what KeyframeBuffer.close returns")
+    check_kind(f"{name}: `block`", block, KeyframeField, "what KeyframeBuffer.close returns")
     if tuning is not None and robust is None:
         raise MagycError(f"{name}: `tuning` without `robust`; name the kernel")
-    check_noise(name, standard_deviation(noise))
+    check_noise(name, noise)
     check_rate_noise(name, gyroscope_noise)
     known = known_field(name, field, field_key, field_unit, strength=True)
     strength = _EARTH_FIELD if known is None else float(np.linalg.norm(known)) * field_unit

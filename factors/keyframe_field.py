@@ -32,7 +32,7 @@ from scipy.linalg import lapack
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.preintegration import interruptions
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import measured
+from magyc_gtsam.factors.guard import check_delay, measured
 from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.pose import sensor_rotation
@@ -104,6 +104,7 @@ class KeyframeField:
             MagycError: wrong shapes or units, values that are not finite, a gyroscope that does not cover the block or
                 pauses at the keyframe.
         """
+        check_delay("keyframe field", delay)
         when = measured("magnetometer time", magnetometer[0], (None,)) - delay
         field = measured("magnetic field", magnetometer[1], (len(when), 3))
         time = measured("gyroscope time", gyroscope[0], (None,))

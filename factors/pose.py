@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.chain.rotations import exponential_matrices, skew
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
+from magyc_gtsam.factors.guard import Noise, Residual, check_delay, check_kind, custom_factor, measured
 from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.units import check_field, check_noise, check_rates, check_readings
 from magyc_gtsam.factors.variables import Array, Variable, attitude, direction, mounting, scalar, vector
@@ -64,21 +64,22 @@ def known_field(
     return known / field_unit
 
 
-def check_unit(field_unit: float) -> None:
+def check_unit(field_unit: float, name: str = "field_unit") -> None:
     """Raise an error for a unit that is not a positive number of T."""
     if not is_positive(field_unit):
-        raise MagycError(f"field_unit {field_unit!r:.40}; it must be finite and above 0 T")
+        raise MagycError(f"{name} {field_unit!r:.40}; it must be a number, finite and above 0 T")
+
+
+def check_rotation(name: str, rotation: gtsam.Rot3) -> None:
+    """Raise an error for a rotation that is no `Rot3`."""
+    check_kind(name, rotation, gtsam.Rot3, "a gtsam.Rot3, for example gtsam.Rot3(matrix) of a (3, 3) matrix")
 
 
 def sensor_rotation(body_R_sensor: gtsam.Rot3 | None) -> Array:
     """Return ᵇRₛ (3, 3), sensor→body; None is the identity."""
     if body_R_sensor is None:
         return np.eye(3)
-    if not isinstance(body_R_sensor, gtsam.Rot3):
-        raise MagycError(
-            f"body_R_sensor is a {type(body_R_sensor).__name__}; give a gtsam.Rot3, for example "
-            "gtsam.Rot3(matrix) of a (3, 3) matrix"
-        )
+    check_rotation("body_R_sensor", body_R_sensor)
     return body_R_sensor.matrix()
 
 
@@ -138,6 +139,7 @@ def magnetometer_factor(
     known = known_field(name, field, field_key, field_unit)
     m, fixed = measured("measurement", measurement, (3,)) / field_unit, sensor_rotation(body_R_sensor)
     check_readings(name, m * field_unit)
+    check_delay(name, delay)
     late = delay_key is not None or delay != 0
     if late and angular_rate is None:
         raise MagycError(f"{name}: a delay needs `angular_rate` at the measurement, (3,) rad/s")
@@ -208,6 +210,7 @@ def scaled_magnetometer_factor(
     check_unit(field_unit)
     m, to_sensor = measured("measurement", measurement, (3,)) / field_unit, sensor_rotation(body_R_sensor).T
     check_readings(name, m * field_unit)
+    check_rotation(f"{name}: rotation", rotation)
     turn = to_sensor @ rotation.matrix().T
 
     def error(d: Array, s: Array, h: Array, want_jacobians: bool) -> Residual:

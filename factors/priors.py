@@ -16,14 +16,24 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech, vech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
-from magyc_gtsam.factors.numbers import is_finite, is_positive
-from magyc_gtsam.factors.pose import MICROTESLA, check_unit
+from magyc_gtsam.factors.guard import (
+    Noise,
+    Residual,
+    check_delay,
+    checked_keys,
+    custom_factor,
+    measured,
+    standard_deviation,
+    standard_deviations,
+)
+from magyc_gtsam.factors.numbers import is_positive, real_array
+from magyc_gtsam.factors.pose import MICROTESLA, check_rotation, check_unit
 from magyc_gtsam.factors.units import check_field, check_readings
 from magyc_gtsam.factors.variables import Array, vector
 
 _HELD_MOUNTING = 1e-5  # rad
 _HELD_DELAY = 1e-6  # s
+_ASYMMETRY = 1e-6  # largest asymmetry of a soft iron, relative to its largest element: that of rounded numbers
 
 
 def world_field_prior(
@@ -37,14 +47,19 @@ def world_field_prior(
         sigma: T, one or three; the model is good to about 0.15 µT plus the contribution of the crust, which is 0.1 to
             1 µT on most of the sea floor and far more beside steel.
         field_unit: T per unit of the key.
+
+    Raises:
+        MagycError: no key, wrong shapes or units, or numbers that are not finite.
     """
-    deviation = np.broadcast_to(np.asarray(sigma, dtype=float), (3,)) / field_unit
-    if not (np.isfinite(deviation).all() and (deviation > 0).all()):
-        raise MagycError(f"world field prior: standard deviation {sigma!r}; it must be finite and above 0 T")
-    check_readings("world field prior: standard deviation", sigma)
+    name = "world field prior"
+    (key,) = checked_keys(name, [field_key], 1)
+    check_unit(field_unit)
+    deviation = standard_deviations(name, sigma, 3)
+    check_readings(f"{name}: standard deviation", deviation)
     known = measured("field", field, (3,))
-    check_field("world field prior", float(np.linalg.norm(known)))
-    return gtsam.PriorFactorPoint3(field_key, known / field_unit, gtsam.noiseModel.Diagonal.Sigmas(deviation))
+    check_field(name, float(np.linalg.norm(known)))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(deviation / field_unit)
+    return gtsam.PriorFactorPoint3(key, known / field_unit, noise)
 
 
 def mounting_prior(
@@ -58,11 +73,15 @@ def mounting_prior(
         sigma: rad per axis; the default holds the mounting. On a vehicle that stays level a rotation of the mounting
             about the vertical is equivalent to a rotation of the heading; only another source of heading separates
             the two.
+
+    Raises:
+        MagycError: no key, no rotation, or a standard deviation that is not above 0.
     """
-    if not is_positive(sigma):
-        raise MagycError(f"mounting prior: standard deviation {sigma!r}; it must be finite and above 0 rad")
+    (key,) = checked_keys("mounting prior", [mounting_key], 1)
     rotation = gtsam.Rot3() if body_R_sensor is None else body_R_sensor
-    return gtsam.PriorFactorRot3(mounting_key, rotation, gtsam.noiseModel.Isotropic.Sigma(3, sigma))
+    check_rotation("mounting prior: body_R_sensor", rotation)
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, standard_deviation(sigma, "mounting prior"))
+    return gtsam.PriorFactorRot3(key, rotation, noise)
 
 
 def delay_prior(delay_key: int, delay: float = 0.0, sigma: float = _HELD_DELAY) -> gtsam.PriorFactorDouble:
@@ -72,12 +91,14 @@ def delay_prior(delay_key: int, delay: float = 0.0, sigma: float = _HELD_DELAY) 
         delay_key: key of τ.
         delay: s by which the magnetometer lags.
         sigma: s; the default holds the delay.
+
+    Raises:
+        MagycError: no key, a delay that is not finite, or a standard deviation that is not above 0.
     """
-    if not (is_finite(delay) and is_positive(sigma)):
-        raise MagycError(
-            f"delay prior: {delay!r} s with standard deviation {sigma!r}; both must be finite, sigma above 0"
-        )
-    return gtsam.PriorFactorDouble(delay_key, float(delay), gtsam.noiseModel.Isotropic.Sigma(1, sigma))
+    (key,) = checked_keys("delay prior", [delay_key], 1)
+    check_delay("delay prior", delay)
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, standard_deviation(sigma, "delay prior"))
+    return gtsam.PriorFactorDouble(key, float(delay), noise)
 
 
 def calibration_prior(
@@ -99,13 +120,23 @@ def calibration_prior(
         field_unit: T per unit of the key h.
 
     Raises:
-        MagycError: a singular covariance, such as that of a soft iron of determinant 1, or a hard iron that is not in
-            T.
+        MagycError: keys that are none or the same, a soft iron that is not finite or not symmetric, a singular
+            covariance, such as that of a soft iron of determinant 1, or a hard iron that is not in T.
     """
+    keys = checked_keys("calibration prior", [soft_iron_key, hard_iron_key], 2)
     check_unit(field_unit)
-    offset = measured("hard iron", hard_iron, (3,))
+    iron = measured("calibration prior: soft iron", soft_iron, (3, 3))
+    if np.abs(iron - iron.T).max() > _ASYMMETRY * np.abs(iron).max():
+        raise MagycError(
+            f"calibration prior: soft iron {iron.tolist()}; it must be symmetric, since its key holds the upper "
+            "triangle only; a rotation beside it is a mounting"
+        )
+    offset = measured("calibration prior: hard iron", hard_iron, (3,))
     check_readings("calibration prior: hard iron", offset)
-    stated = np.asarray(covariance, dtype=float)
+    try:
+        stated = real_array(covariance)
+    except (TypeError, ValueError) as error:
+        raise MagycError(f"calibration prior: covariance is not an array of numbers ({error})") from None
     if stated.ndim != 2 or min(stated.shape) < 9:
         raise MagycError(
             f"calibration prior: a covariance of shape {stated.shape}, expected (9, 9) or larger; some methods give "
@@ -122,10 +153,10 @@ def calibration_prior(
         )
     root = np.linalg.inv(np.linalg.cholesky(correlation)) / scale
     point = gtsam.Values()
-    point.insert(soft_iron_key, vech(soft_iron))
-    point.insert(hard_iron_key, offset / field_unit)
+    point.insert(keys[0], vech(iron))
+    point.insert(keys[1], offset / field_unit)
     noise = gtsam.noiseModel.Unit.Create(9)
-    linear = gtsam.JacobianFactor(soft_iron_key, root[:, :6], hard_iron_key, root[:, 6:], np.zeros(9), noise)
+    linear = gtsam.JacobianFactor(keys[0], root[:, :6], keys[1], root[:, 6:], np.zeros(9), noise)
     return gtsam.LinearContainerFactor(linear, point)
 
 
@@ -165,10 +196,12 @@ def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
         first_key, second_key: keys of the two nodes.
         elapsed: s between the two nodes.
         sigma: change per √hour of each entry, one or six; 1e-3 is a tenth of a percent in an hour.
+
+    Raises:
+        MagycError: keys that are none or the same, or numbers that are not above 0.
     """
-    return gtsam.BetweenFactorVector(
-        first_key, second_key, np.zeros(6), _grown((first_key, second_key), sigma, 6, elapsed)
-    )
+    first, second = _two_nodes(first_key, second_key)
+    return gtsam.BetweenFactorVector(first, second, np.zeros(6), _grown(sigma, 6, elapsed))
 
 
 def hard_iron_walk(
@@ -181,14 +214,15 @@ def hard_iron_walk(
         elapsed: s between the two nodes.
         sigma: T per √hour, one or three.
         field_unit: T per unit of the keys.
+
+    Raises:
+        MagycError: as `soft_iron_walk`, or `sigma` in another unit.
     """
-    check_readings("hard iron walk", sigma)
-    return gtsam.BetweenFactorPoint3(
-        first_key,
-        second_key,
-        np.zeros(3),
-        _grown((first_key, second_key), np.asarray(sigma, dtype=float) / field_unit, 3, elapsed),
-    )
+    first, second = _two_nodes(first_key, second_key)
+    check_unit(field_unit)
+    deviation = standard_deviations("hard iron walk", sigma, 3)
+    check_readings("hard iron walk", deviation)
+    return gtsam.BetweenFactorPoint3(first, second, np.zeros(3), _grown(deviation / field_unit, 3, elapsed))
 
 
 def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorPoint3:
@@ -201,24 +235,29 @@ def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
         first_key, second_key: keys of the two nodes.
         elapsed: s between the two nodes.
         sigma: rad/s per √hour, one or three.
+
+    Raises:
+        MagycError: as `soft_iron_walk`.
     """
-    return gtsam.BetweenFactorPoint3(
-        first_key, second_key, np.zeros(3), _grown((first_key, second_key), sigma, 3, elapsed)
-    )
+    first, second = _two_nodes(first_key, second_key)
+    return gtsam.BetweenFactorPoint3(first, second, np.zeros(3), _grown(sigma, 3, elapsed))
 
 
-def _grown(keys: tuple[int, int], sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:
+def _two_nodes(first_key: int, second_key: int) -> tuple[int, int]:
+    """Return the keys of a walk, checked."""
+    name = "random walk"
+    (first,), (second,) = checked_keys(name, [first_key], 1), checked_keys(name, [second_key], 1)
+    if first == second:
+        raise MagycError(f"{name}: it joins two nodes, and both keys are the same; give the key of the next node")
+    return first, second
+
+
+def _grown(sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:
     """Return the noise model of a walk of `sigma` per √hour after `elapsed` s."""
-    if keys[0] == keys[1]:
+    if not is_positive(elapsed):
         raise MagycError(
-            "random walk: it joins two nodes, and both keys are the same; give the key of the next node"
+            f"random walk over {elapsed!r:.40} s; it must be a number, finite and above 0 (a calibration that does not "
+            "change needs one node, or a walk too small to matter)"
         )
-    deviation: Array = np.broadcast_to(np.asarray(sigma, dtype=float), (size,)) * np.sqrt(
-        (elapsed if is_positive(elapsed) else 0.0) / _HOUR
-    )
-    if not (np.isfinite(deviation).all() and (deviation > 0).all()):
-        raise MagycError(
-            f"random walk of {np.asarray(sigma).tolist()} per √hour over {elapsed!r:.40} s; both must be finite "
-            "and above 0 (a calibration that does not change needs one node, or a walk too small to matter)"
-        )
+    deviation = standard_deviations("random walk per √hour", sigma, size) * np.sqrt(elapsed / _HOUR)
     return gtsam.noiseModel.Diagonal.Sigmas(deviation)

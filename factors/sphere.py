@@ -56,7 +56,7 @@ def sphere_factor(
     Raises:
         MagycError: unknown shape, or a measurement that is not three finite numbers.
     """
-    if shape not in SHAPES:
+    if not isinstance(shape, str) or shape not in SHAPES:
         raise MagycError(f"sphere factor: shape {shape!r} unknown; there are {', '.join(SHAPES)}")
     units, m = SHAPES[shape], measured("measurement", measurement, (3,))
 

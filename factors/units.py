@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.factors.variables import Array
 
 
@@ -49,9 +50,9 @@ def check_field(name: str, strength: float) -> None:
 def check_noise(name: str, sigma: float) -> None:
     """Raise an error for a standard deviation of a magnetometer sample, in T, that no magnetometer has."""
     low, high = LIMITS.noise
-    if not low * (1 - _ROUNDING) <= sigma <= high * (1 + _ROUNDING):
+    if not (is_finite(sigma) and low * (1 - _ROUNDING) <= sigma <= high * (1 + _ROUNDING)):
         raise MagycError(
-            f"{name}: noise of {sigma:.4g} T; it must be between 1 nT and 10 µT"
+            f"{name}: noise of {_shown(sigma)} T; it must be a number between 1 nT and 10 µT"
             f"{_likely(sigma, low, high)}; give it in T"
         )
 
@@ -78,14 +79,19 @@ def check_rates(name: str, rate: Array) -> None:
 
 def check_rate_noise(name: str, sigma: float) -> None:
     """Raise an error for a standard deviation of a gyroscope sample, in rad/s, that no gyroscope has."""
-    if not 0 <= sigma <= LIMITS.rate_noise:
+    if not (is_finite(sigma) and 0 <= sigma <= LIMITS.rate_noise):
         raise MagycError(
-            f"{name}: gyroscope noise of {sigma:.4g} rad/s; it must be between 0 and {LIMITS.rate_noise:g}; "
-            "give it in rad/s"
+            f"{name}: gyroscope noise of {_shown(sigma)} rad/s; it must be a number between 0 and "
+            f"{LIMITS.rate_noise:g}; give it in rad/s"
         )
+
+
+def _shown(value: object) -> str:
+    """Return a number with four digits, and anything else as Python writes it."""
+    return f"{value:.4g}" if is_finite(value) else f"{value!r:.40}"
 
 
 def _likely(value: float, low: float, high: float) -> str:
     """Return a note on the units in which the value would be inside the limits; empty where there is none."""
-    units = [unit for unit, scale in _SCALES.items() if low <= value * scale <= high]
+    units = [unit for unit, scale in _SCALES.items() if is_finite(value) and low <= value * scale <= high]
     return f"; likely unit: {' or '.join(units)}" if units else ""

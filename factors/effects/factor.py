@@ -33,10 +33,10 @@ from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import optional_keys
-from magyc_gtsam.factors.guard import Residual, custom_factor, measured
+from magyc_gtsam.factors.field_chain import check_chain, optional_keys
+from magyc_gtsam.factors.guard import Residual, custom_factor, listed_keys, measured
 from magyc_gtsam.factors.pose import MICROTESLA, body_field, check_unit, in_unit, sensor_rotation
-from magyc_gtsam.factors.units import check_field
+from magyc_gtsam.factors.units import check_field, check_readings
 from magyc_gtsam.factors.variables import Array, attitude, gyro_bias, vector
 
 Side = Literal["magnetometer", "gyroscope"]
@@ -86,13 +86,12 @@ def effect_chain_factor(
         soft_iron_unit, field_unit: T per unit of the keys.
 
     Raises:
-        MagycError: columns that do not fit the windows, or the gyroscope's samples; numbers of columns or sides that
-            differ from that of the keys; a part of fewer than 3 windows.
+        MagycError: as `field_chain_factor`; columns that do not fit the windows, or the gyroscope's samples; numbers
+            of columns or sides that differ from that of the keys; a part of fewer than 3 windows.
     """
-    if isinstance(value_key, Sequence):
-        value_keys, effects = list(value_key), list(columns)
-    else:
-        value_keys, effects = [value_key], [np.asarray(columns)]
+    check_chain("effect chain", samples, noise, delay, soft_iron_unit, field_unit)
+    value_keys = listed_keys(value_key)
+    effects = list(columns) if np.iterable(value_key) else [np.asarray(columns)]
     sides = [side] * len(value_keys) if isinstance(side, str) else list(side)
     if not 0 < len(value_keys) == len(effects) == len(sides):
         raise MagycError(
@@ -254,13 +253,14 @@ def effect_magnetometer_factor(
         field_unit: T per unit of the key h.
 
     Raises:
-        MagycError: numbers that are not finite, or of a wrong shape.
+        MagycError: numbers that are not finite, of a wrong shape or in an implausible unit.
     """
     name = "magnetometer with an effect"
     check_unit(field_unit)
     f = measured("field", field, (3,)) / field_unit
     check_field(name, float(np.linalg.norm(f)) * field_unit)
     m = measured("measurement", measurement, (3,)) / field_unit
+    check_readings(name, m * field_unit)
     on_value = measured("columns", columns, (None, 3)).T / field_unit
     mounting = sensor_rotation(body_R_sensor)
 

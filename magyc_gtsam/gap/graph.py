@@ -14,6 +14,7 @@ from magyc_gtsam.factors.effects.factor import effect_chain_factor
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import listed_keys
 from magyc_gtsam.gap.model.problem import Active, Problem
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
@@ -59,7 +60,7 @@ def term_factor(
     """
     terms = [term] if isinstance(term, Term) else list(term)
     own = [each for each in terms if each.name != "timing"]
-    value_keys = [value_key] if isinstance(value_key, int) else list(value_key)
+    value_keys = listed_keys(value_key)
     _check(calibration, terms, own, value_keys)
     start = recording.time[0]
     recording, _ = without_channel_holes(recording)
@@ -100,6 +101,10 @@ def _check(calibration: Calibration, terms: Sequence[Term], own: Sequence[Term],
                 "term 'tone': the windows' means do not hold it; take it out of the readings first, by "
                 "magyc_gtsam.gap.samples.tones.silenced(recording, [term]), and leave it out of the factor"
             )
+    if not terms:
+        raise MagycError(
+            "term: at least one term is needed, got none; without one use field_chain_factor"
+        )
     if not own:
         raise MagycError("a timing without another term: a delay is a variable of field_chain_factor")
     if len(terms) > len(own) + 1:
