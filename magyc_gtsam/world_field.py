@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.recording import Array
 
 _YEARS = (2010, 2030)  # the first year of the first model, and the year after the last model
@@ -54,8 +55,8 @@ def world_magnetic_field(
         ("longitude", longitude, -180.0, 360.0),
         ("altitude", altitude, *_ALTITUDES),
     ):
-        if not low <= value <= high:
-            raise MagycError(f"{name}: must be between {low:g} and {high:g}, got {value:g}")
+        if not is_finite(value) or not low <= value <= high:
+            raise MagycError(f"{name}: must be a number between {low:g} and {high:g}, got {value!r:.40}")
     day = _day(date)
     if not _YEARS[0] <= day.year < _YEARS[1]:
         raise MagycError(
@@ -79,5 +80,5 @@ def _day(date: datetime.date | str) -> datetime.date:
         return date
     try:
         return datetime.date.fromisoformat(date)
-    except ValueError:
-        raise MagycError(f"date: {date!r} is not a day; write it as YYYY-MM-DD") from None
+    except (TypeError, ValueError):
+        raise MagycError(f"date: {date!r:.40} is not a day; write it as 'YYYY-MM-DD'") from None

@@ -190,7 +190,7 @@ def test_noise_and_width_can_be_given():
     ("options", "words"),
     [
         ({"kernel": "tukey"}, "robust kernel 'tukey' unknown"),
-        ({"width": 0}, "width: must be between 0 and 1e-3 T, got 0"),
+        ({"width": 0}, "width: must be above 0 and below 1e-3 T, got 0"),
         ({"solver": "ceres"}, "solver: 'ceres' is not one of array, graph"),
         ({"noise": 1e-6}, "noise: must be a pair"),
     ],

@@ -200,6 +200,12 @@ def test_load_of_a_missing_file(tmp_path):
         Calibration.load(tmp_path / "none.yaml")
 
 
+@pytest.mark.parametrize("name", ["CAL.YAML", "cal.Yml", "CAL.JSON"])
+def test_suffixes_may_be_capitals(tmp_path, name):
+    Calibration(SOFT_IRON, HARD_IRON).save(tmp_path / name)
+    np.testing.assert_array_equal(Calibration.load(tmp_path / name).soft_iron, SOFT_IRON)
+
+
 @pytest.mark.parametrize("name", ["cal.txt", "cal"])
 def test_save_refuses_other_suffixes(tmp_path, name):
     with pytest.raises(MagycError, match=r"saved as \.yaml or \.json"):

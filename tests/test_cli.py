@@ -323,7 +323,7 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("calibrate {logs}/dive.mcap --start 9 --end 5", "--start must be before --end, got 9 s and 5 s"),
         ("calibrate {logs}/dive.mcap -o {logs}/text.csv", "text.csv: expected a folder, this is a file"),
         ("calibrate {logs}/dive.mcap --option smooth=3", "no option 'smooth'; it has"),
-        ("calibrate {logs}/dive.mcap --option turn=much", "turn must be between 0"),
+        ("calibrate {logs}/dive.mcap --option turn=much", "turn must be above 0 and below"),
         (
             "calibrate {logs}/dive.mcap --delay soon",
             "--delay: must be a number of milliseconds or 'auto', got 'soon'",

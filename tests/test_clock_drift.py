@@ -118,7 +118,7 @@ def test_the_residuals_are_those_of_the_stamps_that_were_used() -> None:
 
 def test_no_number_is_refused() -> None:
     recording = mg.simulate("wide", duration=60).recording
-    with pytest.raises(mg.MagycError, match=r"clock_drift must be between -0\.1 and 0\.1 s/s, got 0\.5"):
+    with pytest.raises(mg.MagycError, match=r"clock_drift must be above -0\.1 and below 0\.1 s/s, got 0\.5"):
         mg.calibrate(recording, clock_drift=0.5)
 
 

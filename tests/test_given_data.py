@@ -15,6 +15,7 @@ from magyc_gtsam.factors.errors import MagycError
 N = 50
 RANDOM = np.random.default_rng(0)
 FIELD, RATE = RANDOM.normal(0, 3e-5, (N, 3)), RANDOM.normal(0, 1, (N, 3))
+SAVED = mg.Calibration(np.eye(3), np.zeros(3)).to_dict()
 STEPS = np.arange(N) * 10_000_001  # ns
 CALENDAR = np.datetime64("2024-05-03T12:00:00.123456789") + STEPS.astype("timedelta64[ns]")
 MOMENTS = [
@@ -75,6 +76,24 @@ def test_numbers_of_another_unit_are_refused_with_its_name(scale: float, unit: s
         mg.OnlineCalibrator().update(np.arange(N) * 0.1 * scale, FIELD, RATE)
 
 
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_calendar_stamps_online_are_seconds_since_1970(unit: str) -> None:
+    """Singly and in blocks; a recording of the same stamps has the same steps."""
+    stamps = (np.datetime64("2024-05-03T12:00:00") + np.arange(N).astype("timedelta64[s]")).astype(
+        f"datetime64[{unit}]"
+    )
+    in_blocks, singly = mg.OnlineCalibrator(), mg.OnlineCalibrator()
+    in_blocks.update(stamps, FIELD, RATE)
+    for time, field, rate in zip(stamps, FIELD, RATE, strict=True):
+        singly.update(time, field, rate)
+    last = 1714737600.0 + N - 1
+    assert in_blocks.taken_until == singly.taken_until == (last, last)
+    moments = mg.OnlineCalibrator()
+    for k in range(N):
+        moments.update(datetime(2024, 5, 3, 12, 0, k, tzinfo=timezone.utc), FIELD[k], RATE[k])
+    assert moments.taken_until == (last, last)
+
+
 def test_missing_stamps() -> None:
     time = CALENDAR.copy()
     time[7] = np.datetime64("NaT")
@@ -119,6 +138,10 @@ def test_numbers_that_numpy_would_change_silently_are_refused_or_left_out() -> N
             call(stamps, FIELD * 1j, RATE)  # type: ignore[operator]
 
 
+def from_streams(*streams: Any, **options: Any) -> mg.Recording:
+    return mg.Recording.from_streams(*streams, **options)
+
+
 @pytest.mark.parametrize(
     ("call", "said"),
     [
@@ -128,7 +151,7 @@ def test_numbers_that_numpy_would_change_silently_are_refused_or_left_out() -> N
         (lambda r: mg.OnlineCalibrator().save(""), "save: the path of a file is needed, got ''"),
         (lambda r: mg.calibrate(r, method=["smoother"]), r"method: \['smoother'\] is not one of"),
         (lambda r: mg.calibrate(r, robust=np.array([True, False])), "robust: .* is neither True nor False"),
-        (lambda r: mg.calibrate(r, misalignment=np.zeros(3)), "misalignment must be between 0 and"),
+        (lambda r: mg.calibrate(r, misalignment=np.zeros(3)), "misalignment must be at least 0 and below"),
         (lambda r: mg.calibrate(r, progress=3), "progress: a function of the share done is needed, got int"),
         (lambda r: mg.calibrate_many(r), "several recordings are needed, got a Recording; pass a list"),
         (lambda r: mg.calibrate_many([r, 3]), "mg.calibrate_many: expected a Recording, got a int"),
@@ -141,6 +164,75 @@ def test_numbers_that_numpy_would_change_silently_are_refused_or_left_out() -> N
         (lambda r: mg.Recording(r.time, FIELD, name=None), "name: a text is needed, got None"),
         (lambda r: mg.Recording(r.time, FIELD, channels=[1]), "channels: {name: .* is needed"),
         (lambda r: mg.Recording(r.time, FIELD, magnetic_field_fresh=np.arange(N)), "one flag per row is needed"),
+        (lambda r: mg.Recording(r.time, FIELD, notes=3), "notes: a text or a list of texts is needed, got 3"),
+        (lambda r: mg.Recording(r.time, FIELD, notes=[3]), r"notes: .* got \[3\]"),
+        (
+            lambda r: from_streams(r.magnetic_field),
+            "magnetic_field: must be the pair .time, values., got a ndarray",
+        ),
+        (lambda r: from_streams(None), "magnetic_field: must be the pair .time, values., got a NoneType"),
+        (lambda r: from_streams((r.time, FIELD, RATE)), "magnetic_field: must be the pair .*, got 3 things"),
+        (lambda r: from_streams((r.time, FIELD), RATE), "angular_rate: must be the pair .*, got a ndarray"),
+        (lambda r: from_streams((r.time, FIELD), acceleration=3), "acceleration: must be the pair .*, got a int"),
+        (
+            lambda r: from_streams((r.time, FIELD), channels={"current": np.ones(4)}),
+            "channel 'current': must be the",
+        ),
+        (lambda r: from_streams((r.time, FIELD), channels=[1]), "channels: {name: .* is needed"),
+        (lambda r: from_streams((r.time, FIELD), notes=3), "notes: a text or a list of texts"),
+        (lambda r: from_streams((CALENDAR, FIELD), (r.time, RATE)), "angular_rate: must be calendar stamps"),
+        (
+            lambda r: from_streams((r.time, FIELD), (CALENDAR, RATE)),
+            "angular_rate: must be numbers .* got calendar",
+        ),
+        (
+            lambda r: from_streams((CALENDAR, FIELD), channels={"depth": (r.time, FIELD)}),
+            "time of channel 'depth': must be calendar stamps",
+        ),
+        (lambda r: mg.Recording(CALENDAR[0], FIELD), r"time: shape \(\), expected"),
+        (lambda r: mg.Calibration(np.eye(3), np.zeros(3)).plot(3), "recording: expected a Recording, got a int"),
+        (lambda r: mg.Calibration(np.eye(3), np.zeros(3)).report("a.html", 3), "expected a Recording, got a int"),
+        (lambda r: mg.Calibration.from_dict([]), "not a calibration: a mapping .* got a list"),
+        (lambda r: mg.Calibration.from_dict(SAVED | {"observability": {}}), r"a damaged calibration \(KeyError"),
+        (lambda r: mg.Calibration.from_dict(SAVED | {"terms": [1]}), r"a damaged calibration \(TypeError"),
+        (lambda r: mg.calibrate(r, prior=SAVED | {"terms": [1]}), "a damaged calibration"),
+        (lambda r: mg.OnlineCalibrator(prior=SAVED | {"observability": {}}), "a damaged calibration"),
+        (lambda r: mg.OnlineCalibrator(["smoother"]), r"method: \['smoother'\] is not one of"),
+        (lambda r: mg.OnlineCalibrator().update(MOMENTS[0].time(), FIELD[0]), "time: not a number"),
+        (lambda r: mg.calibrate_many([r, r], foo=1), "^method 'smoother' has no option 'foo'; it has"),
+        (lambda r: mg.calibrate_many([r, r], window=-1), "window must be above 0 and below 60 s, got -1"),
+        (lambda r: mg.calibrate_many([r], method="autocal", foo=1), "^method 'autocal' has no option 'foo'"),
+        (
+            lambda r: mg.calibrate(r, field=((5e-5, 0), 1.0)),
+            "sigma of the strength must be above 0 and below 0.0001",
+        ),
+        *(
+            (lambda r, arguments=arguments: mg.simulate(**{"motion": "wide", "duration": 9.0} | arguments), said)
+            for arguments, said in (
+                ({"field": 5e-5}, r"field: must be finite numbers of shape \(3,\), got 5e-05"),
+                ({"field": "a"}, "field must be numbers, got 'a'"),
+                ({"field": [0, 0, np.nan]}, "field: must be finite numbers"),
+                ({"soft_iron": np.ones(3)}, r"soft_iron: must be finite numbers of shape \(3, 3\)"),
+                ({"hard_iron": [1, 2]}, r"hard_iron: must be finite numbers of shape \(3,\), got \[1, 2\]"),
+                ({"gyro_bias": None}, "gyro_bias must be numbers, got None"),
+                ({"motion": (1, 2, "a")}, "motion must be numbers"),
+                ({"motion": {}}, "motion must be numbers, got {}"),
+                ({"motion": (1, 2)}, r"motion: must be finite numbers of shape \(3,\)"),
+                ({"effects": [3]}, r"effects: must be names or pairs \(name, factor\), got 3"),
+                (
+                    {"effects": [("timing", "a")]},
+                    "effects: factor of 'timing' must be a number, .* got factor 'a'",
+                ),
+                ({"effects": [("timing",)]}, "effects: must be names or pairs"),
+                ({"effects": None}, "effects: a list of names is needed, got None; leave it out"),
+                ({"effects": "timing"}, r"give \['timing'\]"),
+                ({"channels": 3}, "channels: a list of names is needed, got 3"),
+                ({"channels": "current"}, "channels: a list of names is needed, got 'current'"),
+                ({"channels": [3]}, "channels: a list of names"),
+                ({"duration": -10, "rate": -10}, "duration: must be above 0, got -10"),
+                ({"rate": 0}, "rate: must be above 0, got 0"),
+            )
+        ),
     ],
 )
 def test_arguments_of_a_wrong_kind_are_refused_in_one_sentence(call: Any, said: str) -> None:

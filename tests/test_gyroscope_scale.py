@@ -128,5 +128,5 @@ def test_a_scale_beyond_its_prior_is_not_believed() -> None:
 
 def test_a_prior_that_is_another_unit() -> None:
     dive = scaled("wide", 1, np.zeros(3))
-    with pytest.raises(mg.MagycError, match=r"gyroscope_scale must be between 0 and 0\.1, got 1"):
+    with pytest.raises(mg.MagycError, match=r"gyroscope_scale must be at least 0 and below 0\.1, got 1"):
         mg.calibrate(dive, gyroscope_scale=1)

@@ -166,9 +166,9 @@ def test_what_makes_no_sense_is_refused(earlier):
         ({"prior": without}, "has no covariance"),
         ({"prior": 3}, "an earlier Calibration is needed, got int"),
         ({"hard_iron_walk": 1e-6}, "give it .prior=."),
-        ({"prior": earlier, "hard_iron_walk": -1}, "hard_iron_walk must be between 0 and 1 T, got -1"),
+        ({"prior": earlier, "hard_iron_walk": -1}, "hard_iron_walk must be at least 0 and below 1 T, got -1"),
         ({"field": 50e-6}, "is neither .strength T, dip rad. nor"),
-        ({"field": (50e-6, 3.0)}, "the dip must be between"),
+        ({"field": (50e-6, 3.0)}, "the dip must be above"),
         ({"field": (50e-6, 1.0), "field_strength": 50e-6}, "give one of them"),
     ):
         with pytest.raises(MagycError, match=said):

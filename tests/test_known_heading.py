@@ -78,7 +78,7 @@ def test_the_configuration_is_enough_to_run_again(tmp_path):
         ({"heading": "yaw"}, "no channel 'yaw' with one value a row; its channels: course"),
         ({"heading": 3}, "neither the name of a channel nor"),
         ({"heading": (3, 0.1)}, "3 is not the name of a channel"),
-        ({"heading": ("course", -1.0)}, "its sigma must be between 0 and"),
+        ({"heading": ("course", -1.0)}, "its sigma must be above 0 and below"),
         ({"declination": 0.1}, "no use without a heading"),
     ],
 )

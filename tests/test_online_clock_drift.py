@@ -127,7 +127,7 @@ def test_how_it_is_cut_and_resumed_does_not_matter(
 
 
 def test_no_number_is_refused() -> None:
-    with pytest.raises(mg.MagycError, match=r"clock_drift must be between -0\.1 and 0\.1 s/s, got 0\.5"):
+    with pytest.raises(mg.MagycError, match=r"clock_drift must be above -0\.1 and below 0\.1 s/s, got 0\.5"):
         mg.OnlineCalibrator(clock_drift=0.5)
 
 

@@ -107,7 +107,7 @@ def test_a_number_and_nothing() -> None:
     (term,) = fed(recording, misalignment=np.radians(1.0)).calibration.terms
     (batch,) = mg.calibrate(recording, misalignment=np.radians(1.0)).terms
     np.testing.assert_allclose(term.value, batch.value, atol=0.05 * batch.sigma.max())
-    with pytest.raises(mg.MagycError, match="misalignment must be between"):
+    with pytest.raises(mg.MagycError, match="misalignment must be at least 0 and below"):
         mg.OnlineCalibrator(misalignment=-1.0)
 
 

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import with_minus
 from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.level_turn import TILT
@@ -257,6 +258,16 @@ def test_terms_of_a_calibration_are_rows_in_the_units_of_the_page() -> None:
     page = render(simulated(), calibration)
     assert "timing (SI units): 0.0125" in page
     assert "Term(" not in page
+
+
+def test_target_has_the_suffix_of_a_page_or_is_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(MagycError, match=r"must end in \.html or \.pdf, got 'r\.txt'"):
+        write_report(tmp_path / "r.txt", simulated(), good())
+    assert not list(tmp_path.iterdir())
+    folder = tmp_path / "2026.01"
+    folder.mkdir()
+    assert write_report(folder, simulated(), good()) == folder / "report.html"
+    assert write_report(tmp_path / "R.HTML", simulated(), good()) == tmp_path / "R.HTML"
 
 
 def test_target_is_a_file_or_a_directory(tmp_path: Path) -> None:

@@ -167,5 +167,5 @@ def test_a_skew_in_a_part_only_is_a_field_that_varies():
 
 @pytest.mark.parametrize("value", [-0.1, 2.0, "yes", True, None])
 def test_what_is_no_misalignment_is_refused(value):
-    with pytest.raises(MagycError, match="misalignment must be between 0 and 0.785398 rad, or 'auto'"):
+    with pytest.raises(MagycError, match="misalignment must be at least 0 and below 0.785398 rad, or 'auto'"):
         calibrate(simulate("wide", duration=60).recording, misalignment=value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date, datetime
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,8 +64,12 @@ def test_a_day_may_be_a_date_or_its_text() -> None:
         ((0, 0, "2009-12-31"), "2010-01-01 to 2029-12-31"),
         ((0, 0, "2030-01-01"), "2010-01-01 to 2029-12-31"),
         ((0, 0, "3 May 2021"), "YYYY-MM-DD"),
+        ((0, 0, None), "date: None is not a day"),
+        ((0, 0, 2026.2), "date: 2026.2 is not a day"),
+        (("a", 0, "2021-05-03"), "latitude: must be a number between -90 and 90, got 'a'"),
+        ((0, [1, 2], "2021-05-03"), r"longitude: must be a number .* got \[1, 2\]"),
     ],
 )
-def test_what_is_refused(arguments: tuple[float, float, str], says: str) -> None:
+def test_what_is_refused(arguments: tuple[Any, Any, Any], says: str) -> None:
     with pytest.raises(MagycError, match=says):
         world_magnetic_field(*arguments)

@@ -166,7 +166,7 @@ class Calibration:
             recording: the data to draw; None for `self.recording`.
 
         Raises:
-            MagycError: the recording is not known.
+            MagycError: no recording is known.
         """
         return _notebook().plot_calibration(self, recording)
 
@@ -174,11 +174,11 @@ class Calibration:
         """Write the report as a page (.html) or its figures (.pdf), and return the path.
 
         Args:
-            path: the file.
+            path: the file; or a folder, which receives report.html.
             recording: the data to report on; None for `self.recording`.
 
         Raises:
-            MagycError: the recording is not known.
+            MagycError: no recording is known, a name with another suffix, or the file cannot be written.
         """
         written: Path = _notebook().report(self, path, recording)
         return written
@@ -263,7 +263,12 @@ class Calibration:
         Raises:
             MagycError: `data` is not a calibration.
         """
-        return cls(**constructor_arguments(cls, data))
+        try:
+            return cls(**constructor_arguments(cls, data))
+        except MagycError:
+            raise
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise MagycError(f"a damaged calibration ({type(error).__name__}: {shortened(error)})") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML (.yaml, .yml) or JSON (.json) without loss, replacing the file in one step."""
@@ -282,9 +287,6 @@ class Calibration:
             return cls.from_dict(data)
         except MagycError as error:
             raise MagycError(f"{path}: {shortened(error)}") from None
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            reason = f"{type(error).__name__}: {shortened(error)}"
-            raise MagycError(f"{path}: a damaged calibration ({reason})") from None
 
 
 def _notebook() -> Any:

@@ -31,8 +31,10 @@ def constructor_arguments(calibration_class: type[DataclassInstance], data: Mapp
     """Return the arguments of `Calibration` that the result of `as_mapping` holds; unknown keys are ignored.
 
     Raises:
-        MagycError: another format, or no soft iron or hard iron.
+        MagycError: no mapping, another format, or no soft iron or hard iron.
     """
+    if not isinstance(data, Mapping):
+        raise MagycError(f"not a calibration: a mapping of names to values is needed, got a {type(data).__name__}")
     if data.get("format") != FORMAT:
         raise MagycError(f"not a calibration: format is {data.get('format')!r}, expected {FORMAT!r}")
     missing = {"soft_iron", "hard_iron"} - data.keys()
@@ -52,8 +54,8 @@ def as_text(suffix: str, data: Mapping[str, Any]) -> str:
     Raises:
         MagycError: the suffix is not .yaml, .yml or .json.
     """
-    if suffix == ".json":
+    if suffix.lower() == ".json":
         return json.dumps(data, indent=2) + "\n"
-    if suffix in (".yaml", ".yml"):
+    if suffix.lower() in (".yaml", ".yml"):
         return dump_yaml(data)
     raise MagycError(f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}")

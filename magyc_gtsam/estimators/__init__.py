@@ -157,11 +157,7 @@ def calibrate(
         MagycError: unknown method or option, a stuck sensor, or data that the method cannot use.
     """
     keep_freed_memory()
-    entry = (_METHODS.get(method) or methods().get(method)) if isinstance(method, str) else None
-    if entry is None:
-        raise MagycError(f"method: {method!r} is not one of {', '.join(methods())}")
-    if entry.problem:
-        raise MagycError(f"method {method!r}: {entry.problem}")
+    entry = _entry(method)
     check_field_strength(field_strength)
     expect_recording("mg.calibrate", recording)
     expect_progress(progress)
@@ -177,17 +173,9 @@ def calibrate(
             f"{what}: needs the field in tesla, and this recording holds raw counts; give tesla per count "
             "(magnetic_unit=), or take a method that needs the magnetometer alone"
         )
-    module, name = entry.function.split(":")
-    with requires_gtsam(f"method {method!r}"):
-        function = getattr(importlib.import_module(module), name)
     shared = {"field_strength": field_strength, "noise": noise, "robust": robust}
     given = {k: v for k, v in shared.items() if v is not None} | options
-    its_options = entry.options
-    allowed = _imported(its_options).__dataclass_fields__ if its_options else function.__kwdefaults__ or {}
-    unknown = sorted(given.keys() - allowed.keys())
-    if unknown:
-        there = ", ".join(sorted(allowed.keys() - {"progress"}))
-        raise MagycError(f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {there}")
+    function = _function(method, entry, given)
     own, earlier = fingerprint(recording), given.get("prior")
     if isinstance(earlier, Mapping):
         earlier = given["prior"] = Calibration.from_dict(earlier)
@@ -217,6 +205,46 @@ def calibrate(
     if usable.clipped is not None:
         result = replace(result, converged=False, message=f"{usable.clipped.sentence}; {result.message}")
     return result.made_from(recording)
+
+
+def check_options(method: str = "smoother", **options: Any) -> None:
+    """Check the options of `calibrate` without data.
+
+    Raises:
+        MagycError: unknown method or option, or a value that is out of range.
+    """
+    entry = _entry(method)
+    given = {k: v for k, v in options.items() if v is not None or k not in ("field_strength", "noise", "robust")}
+    _function(method, entry, given)
+    check_field_strength(options.get("field_strength"))
+    if entry.options:
+        _imported(entry.options)(**given)
+
+
+def _entry(method: Any) -> Method:
+    """Return the entry of a method that can be used."""
+    entry = (_METHODS.get(method) or methods().get(method)) if isinstance(method, str) else None
+    if entry is None:
+        raise MagycError(f"method: {method!r} is not one of {', '.join(methods())}")
+    if entry.problem:
+        raise MagycError(f"method {method!r}: {entry.problem}")
+    return entry
+
+
+def _function(method: str, entry: Method, given: Mapping[str, Any]) -> Callable[..., Calibration]:
+    """Return the function of a method that has all the given options."""
+    with requires_gtsam(f"method {method!r}"):
+        function: Callable[..., Calibration] = _imported(entry.function)
+    allowed = (
+        _imported(entry.options).__dataclass_fields__
+        if entry.options
+        else getattr(function, "__kwdefaults__", None) or {}
+    )
+    unknown = sorted(given.keys() - allowed.keys())
+    if unknown:
+        there = ", ".join(sorted(allowed.keys() - {"progress"}))
+        raise MagycError(f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {there}")
+    return function
 
 
 def _imported(name: str) -> Any:

@@ -102,9 +102,7 @@ def _check(calibration: Calibration, terms: Sequence[Term], own: Sequence[Term],
                 "magyc_gtsam.gap.samples.tones.silenced(recording, [term]), and leave it out of the factor"
             )
     if not terms:
-        raise MagycError(
-            "term: at least one term is needed, got none; without one use field_chain_factor"
-        )
+        raise MagycError("term: at least one term is needed, got none; without one use field_chain_factor")
     if not own:
         raise MagycError("a timing without another term: a delay is a variable of field_chain_factor")
     if len(terms) > len(own) + 1:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from magyc_gtsam.estimators import check_options
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.history.history import History
@@ -36,7 +37,8 @@ def calibrate_many(
         options: options of `calibrate` for every log.
 
     Raises:
-        MagycError: there are no logs, the number of times differs, or no log has a trusted calibration.
+        MagycError: there are no logs, the number of times differs, an option of `calibrate` is unknown or out of
+            range, or no log has a trusted calibration.
     """
     if isinstance(recordings, str | os.PathLike):
         raise MagycError(
@@ -52,6 +54,7 @@ def calibrate_many(
         raise MagycError("calibrate_many: there are no recordings; pass at least one")
     if times is not None and len(times) != len(logs):
         raise MagycError(f"times: {len(times)} for {len(logs)} recordings; pass one for each")
+    check_options(**options)
     factors = []
     for i in range(len(logs)):
         factors.append(_read_factor(logs, i, None if times is None else float(times[i]), options))

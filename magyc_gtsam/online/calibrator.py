@@ -25,6 +25,7 @@ from magyc_gtsam.online.intake import Intake, scalar, vector
 from magyc_gtsam.online.locked import locked
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
+from magyc_gtsam.recording.stamps import seconds
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.storage.array_file import expect_layout, read_arrays, write_arrays
 from magyc_gtsam.storage.json_types import json_types
@@ -58,8 +59,8 @@ class OnlineCalibrator:
     """
 
     def __init__(self, method: str = "smoother", **options: Any) -> None:
-        if method not in _ENGINES:
-            raise MagycError(f"method: {method!r} is not one of {', '.join(_ENGINES)}")
+        if not isinstance(method, str) or method not in _ENGINES:
+            raise MagycError(f"method: {method!r:.60} is not one of {', '.join(_ENGINES)}")
         module, name = _ENGINES[method].split(":")
         with requires_gtsam(f"method {method!r}"):
             engine = getattr(importlib.import_module(module), name)
@@ -94,14 +95,14 @@ class OnlineCalibrator:
         when a result is read, so that an error may be raised up to sixteen samples late.
 
         Args:
-            time: s, scalar or (N,).
+            time: s, scalar or (N,); or datetime64, datetime or pandas stamps, which become s since 1970.
             magnetic_field: T, (3,) or (N, 3).
             angular_rate: rad/s, (3,) or (N, 3).
 
         Raises:
             MagycError: shapes or units are wrong, or a clock was set back. No sample of the block is taken then.
         """
-        if isinstance(time, (float, int)) or np.ndim(time) == 0:
+        if isinstance(time, (float, int)) or np.ndim(time := seconds("time", time)) == 0:
             stamp = scalar("time", time)
             self._waiting.append(
                 (stamp, vector("magnetic_field", magnetic_field), vector("angular_rate", angular_rate))

@@ -95,6 +95,18 @@ def named_channels(channels: Any) -> Mapping[str, Any]:
     return channels
 
 
+def given_notes(notes: Any) -> tuple[str, ...]:
+    """Return the notes of a recording; a text is one note.
+
+    Raises:
+        MagycError: neither a text nor a list of texts.
+    """
+    texts = (notes,) if isinstance(notes, str) else tuple(notes) if isinstance(notes, list | tuple) else (notes,)
+    if not all(isinstance(text, str) for text in texts):
+        raise MagycError(f"notes: a text or a list of texts is needed, got {notes!r:.60}")
+    return texts
+
+
 def columns_of(value: Any) -> str:
     """Return the first 20 column names of a data frame, separated by commas; "" for any other object."""
     if not (hasattr(value, "columns") and hasattr(value, "iloc")):

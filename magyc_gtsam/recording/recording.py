@@ -26,6 +26,7 @@ from magyc_gtsam.recording.checks import (
     check_interval,
     check_rate_unit,
     frozen,
+    given_notes,
     named_channels,
     unit_quaternions,
     without_no_values,
@@ -98,7 +99,7 @@ class Recording:
         if not isinstance(self.name, str):
             raise MagycError(f"name: a text is needed, got {self.name!r:.40}")
         put(self, "name", printable(self.name[:LONGEST]))
-        put(self, "notes", (self.notes,) if isinstance(self.notes, str) else tuple(self.notes))
+        put(self, "notes", given_notes(self.notes))
         check_choice("angular_rate_is", self.angular_rate_is, get_args(RateKind))
         check_choice("attitude_is", self.attitude_is, get_args(AttitudeKind))
         check_choice("magnetic_field_unit", self.magnetic_field_unit, get_args(FieldUnit))
@@ -245,10 +246,11 @@ class Recording:
         attitude by slerp; attitude and channels are NaN outside their time span.
 
         Raises:
-            MagycError: as the constructor, and if the stamps of the sensors do not overlap.
+            MagycError: as the constructor, and if the stamps of the sensors do not overlap, or some are calendar stamps
+                and others numbers.
         """
-        united = unite(magnetic_field, angular_rate, acceleration, attitude, channels or {}, angular_rate_is)
-        notes = (*notes, *united.pop("notes"))
+        united = unite(magnetic_field, angular_rate, acceleration, attitude, channels, angular_rate_is)
+        notes = (*given_notes(notes), *united.pop("notes"))
         return cls(
             **united,
             name=name,

@@ -49,7 +49,7 @@ def seconds(name: str, time: Any, origin: int = 0) -> Any:
         return time
     if (missing := stamps == np.iinfo(np.int64).min).any():
         raise MagycError(
-            f"{name}: {missing.sum()} of {len(stamps)} stamps are missing (NaT), the first is row "
+            f"{name}: {missing.sum()} of {stamps.size} stamps are missing (NaT), the first is row "
             f"{int(np.argmax(missing))}; remove those rows"
         )
     return (stamps - origin) / 1e9
@@ -57,18 +57,25 @@ def seconds(name: str, time: Any, origin: int = 0) -> Any:
 
 def origin_of(time: Any) -> int:
     """Return the first calendar stamp in ns since 1970; 0 for durations and numbers, which have their own origin."""
-    array = time if isinstance(time, np.ndarray) else getattr(time, "to_numpy", lambda: np.asarray(time))()
     stamps = _nanoseconds(time)
-    return 0 if stamps is None or not len(stamps) or array.dtype.kind == "m" else int(stamps[0])
+    return int(stamps.flat[0]) if stamps is not None and stamps.size and is_calendar(time) else 0
+
+
+def is_calendar(time: Any) -> bool:
+    """Return whether stamps are dates, of numpy, pandas or datetime, and no durations or numbers."""
+    if _nanoseconds(time) is None:
+        return False
+    array = time if isinstance(time, np.ndarray) else getattr(time, "to_numpy", lambda: np.asarray(time))()
+    return bool(array.dtype.kind != "m")
 
 
 def _nanoseconds(time: Any) -> NDArray[np.int64] | None:
     if isinstance(time, list | tuple) and not (len(time) and isinstance(time[0], datetime | np.datetime64)):
         return None
     array = np.asarray(time)
-    if array.dtype == object and array.ndim == 1 and len(array) and isinstance(array[0], datetime):
+    if array.dtype == object and array.ndim < 2 and array.size and isinstance(array.flat[0], datetime):
         # numpy ignores the time zone of such objects.
-        array = np.array([np.datetime64(int(_since_1970(t)), "ns") for t in array])
+        array = np.array([np.datetime64(int(_since_1970(t)), "ns") for t in array.flat]).reshape(array.shape)
     if array.dtype.kind == "M":
         return array.astype(_NANOSECONDS).astype(np.int64)
     if array.dtype.kind == "m":

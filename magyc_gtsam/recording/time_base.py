@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +16,11 @@ from magyc_gtsam.recording.checks import (
     check_ascending,
     frozen,
     given_away,
+    named_channels,
     unit_quaternions,
     without_no_values,
 )
-from magyc_gtsam.recording.stamps import origin_of, seconds
+from magyc_gtsam.recording.stamps import is_calendar, origin_of, seconds
 
 Stream = tuple[ArrayLike, ArrayLike]
 
@@ -29,7 +30,7 @@ def unite(
     angular_rate: Stream | None,
     acceleration: Stream | None,
     attitude: Stream | None,
-    channels: Mapping[str, Stream],
+    channels: Mapping[str, Stream] | None,
     angular_rate_is: Literal["instant", "interval-mean"],
 ) -> dict[str, Any]:
     """Return the arguments of a `Recording`, including `notes`; `Recording.from_streams` states the rules.
@@ -38,8 +39,9 @@ def unite(
         MagycError: a stream has the wrong form, or the streams do not overlap in time.
     """
     streams = {"magnetic_field": magnetic_field, "angular_rate": angular_rate}
-    origin = origin_of(magnetic_field[0])
-    clean = {k: _stream(k, *v, width=3, origin=origin) for k, v in streams.items() if v is not None}
+    first_time, _ = _pair("magnetic_field", magnetic_field)
+    clock = _Clock(is_calendar(first_time), origin_of(first_time))
+    clean = {k: _stream(k, v, 3, clock) for k, v in streams.items() if v is not None or k == "magnetic_field"}
     first = max(t[0] for t, _ in clean.values())
     last = min(t[-1] for t, _ in clean.values())
     if last <= first:
@@ -72,8 +74,8 @@ def unite(
         "channels": {},
         "notes": (f"{cut} samples outside the time that both sensors cover were left out",) if cut else (),
     }
-    for k, v in channels.items():
-        channel_time, channel = _stream(f"channel {k!r}", *v, None, origin)
+    for k, v in named_channels(channels).items():
+        channel_time, channel = _stream(f"channel {k!r}", v, None, clock)
         if kinds(k):  # before the interpolation, which would spread a placeholder over its neighbours
             channel, note = without_no_values(k, channel)
             result["notes"] += (note,) if note else ()
@@ -89,17 +91,39 @@ def unite(
         fresh = np.ones(len(time), dtype=bool) if time is mag_time else np.isin(time, gyro_time)
         result |= {"angular_rate": rate, "angular_rate_fresh": fresh}
     if acceleration is not None:
-        result["acceleration"] = _on_rows(time, *_stream("acceleration", *acceleration, 3, origin))
+        result["acceleration"] = _on_rows(time, *_stream("acceleration", acceleration, 3, clock))
     if attitude is not None:
-        result["attitude"] = _slerp(time, *_stream("attitude", *attitude, 4, origin))
+        result["attitude"] = _slerp(time, *_stream("attitude", attitude, 4, clock))
     return result
 
 
-def _stream(
-    name: str, time: ArrayLike, value: ArrayLike, width: int | None, origin: int = 0
-) -> tuple[Array, Array]:
+class _Clock(NamedTuple):
+    """The clock that the streams share: whether it gives dates, and which of them, in ns since 1970, is 0 s."""
+
+    calendar: bool
+    origin: int
+
+
+def _pair(name: str, stream: Any) -> tuple[ArrayLike, ArrayLike]:
+    """Return the stamps and the values of a stream."""
+    if not isinstance(stream, tuple | list) or len(stream) != 2:
+        got = f"{len(stream)} things" if isinstance(stream, tuple | list) else f"a {type(stream).__name__}"
+        raise MagycError(
+            f"{name}: must be the pair (time, values), got {got}; samples of one clock are for Recording"
+        )
+    return stream[0], stream[1]
+
+
+def _stream(name: str, stream: Any, width: int | None, clock: _Clock) -> tuple[Array, Array]:
     """Return time (n,) s and value (n, width) of a stream, checked; any number of columns if `width` is None."""
-    clean_time = frozen(f"time of {name}", seconds(f"time of {name}", time, origin), (None,))
+    time, value = _pair(name, stream)
+    if is_calendar(time) != clock.calendar:
+        kinds_of_stamps = ("numbers", "calendar stamps")
+        raise MagycError(
+            f"time of {name}: must be {kinds_of_stamps[clock.calendar]} as the magnetometer's, got "
+            f"{kinds_of_stamps[not clock.calendar]}, whose offset is unknown; give all sensors the stamps of one clock"
+        )
+    clean_time = frozen(f"time of {name}", seconds(f"time of {name}", time, clock.origin), (None,))
     if len(clean_time) < 2:
         raise MagycError(f"{name}: {counted(len(clean_time), 'sample')}, at least 2 are needed")
     try:

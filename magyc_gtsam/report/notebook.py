@@ -16,6 +16,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.report import words
 from magyc_gtsam.report.analysis import field_history
 from magyc_gtsam.report.gap_verdict import judged_gap
@@ -79,7 +80,7 @@ def report(calibration: Calibration, path: str | os.PathLike[str], recording: Re
     """Write the page of a calibration as an HTML file, or its figures if the name ends in .pdf; return the path."""
     recording = _recording_of(calibration, recording)
     file = expect_path("report", path)
-    if file.suffix == ".pdf":
+    if file.suffix.lower() == ".pdf":
         figures = plot_calibration(calibration, recording)
         with whole_file(file) as part:
             figures.savefig(part, format="pdf")
@@ -119,6 +120,7 @@ def _recording_of(calibration: Calibration, recording: Recording | None) -> Reco
     recording = recording if recording is not None else calibration.recording
     if recording is None:
         raise MagycError("the calibration does not hold its recording (it was loaded or changed): pass recording=")
+    expect_recording("recording", recording)
     return recording
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.residuals import WindowResiduals
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.level_turn import LevelTurn, inclination
 from magyc_gtsam.recording import Array, Mask, Recording
@@ -50,7 +51,8 @@ def write_report(
     """Write the report of one calibration as one self-contained HTML file.
 
     Args:
-        target: the file (its name ends in .html), or a directory that receives `report.html`.
+        target: the file (its name ends in .html), or a directory that receives `report.html`: an existing one, or a
+            name without a suffix.
         recording: the recording the calibration was made from.
         calibration: the calibration.
         residuals: residuals of the method's windows; None for methods without windows.
@@ -58,10 +60,15 @@ def write_report(
 
     Returns:
         The path of the file, written atomically.
+
+    Raises:
+        MagycError: a name with another suffix, or the file cannot be written.
     """
     path = expect_path("report", target)
-    if path.suffix != ".html":
+    if path.is_dir() or not path.suffix:
         path = path / "report.html"
+    elif path.suffix.lower() != ".html":
+        raise MagycError(f"report: the name of the file must end in .html or .pdf, got {path.name!r}")
     write_text(path, render(recording, calibration, residuals, verdict))
     return path
 

@@ -6,7 +6,8 @@ from differences.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from zlib import crc32
 
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import numbers
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation.effects import chosen
 from magyc_gtsam.simulation.environment import CHANNELS, GRAVITY, measured
@@ -99,6 +101,11 @@ def simulate(
     for name, number in (("seed", seed), ("effects_seed", effects_seed)):
         if number is not None and (not isinstance(number, int | np.integer) or number < 0):
             raise MagycError(f"{name}: an integer from 0 on is needed, got {number!r:.40}")
+    field, hard_iron, gyro_bias = (
+        _finite(name, value, (3,))
+        for name, value in (("field", field), ("hard_iron", hard_iron), ("gyro_bias", gyro_bias))
+    )
+    soft_iron = _finite("soft_iron", soft_iron, (3, 3))
     path, called = _path(motion)
     wanted = chosen(effects, seed if effects_seed is None else effects_seed)
     recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])
@@ -110,9 +117,6 @@ def simulate(
     attitude, body_rate = kinematics(*angles(time))
     late = kinematics(*angles(time - delay))[0] if delay else attitude
     noise = random.standard_normal((2, samples, 3)) * np.reshape([magnetometer_noise, gyroscope_noise], (2, 1, 1))
-    field, soft_iron, hard_iron, gyro_bias = (
-        np.asarray(v, dtype=float) for v in (field, soft_iron, hard_iron, gyro_bias)
-    )
     scene = Scene(time, attitude, body_rate, field, np.arange(samples) * finer, seed)
     chain = Chain(wanted, scene)
     recording = Recording(
@@ -141,6 +145,9 @@ def simulate(
 
 def _samples(duration: float, rate: float) -> int:
     """Return the number of samples."""
+    for name, value in (("duration", duration), ("rate", rate)):
+        if not value > 0:
+            raise MagycError(f"{name}: must be above 0, got {value:g}")
     if not 2.5 < duration * rate <= _MOST_SAMPLES:
         raise MagycError(
             f"duration, rate: {duration:g} s at {rate:g} Hz give {duration * rate:.0f} samples, must be at least 3 and "
@@ -162,14 +169,22 @@ def _magnetometer(chain: Chain, attitude: Rotation, soft_iron: Array, hard_iron:
     return chain.pass_through(Stage.QUANTISED, reading[first[again]])
 
 
+def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return an argument as an array of this shape, checked."""
+    array = numbers(name, value)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise MagycError(f"{name}: must be finite numbers of shape {shape}, got {reprlib.repr(value)}")
+    return array
+
+
 def _path(motion: str | tuple[float, float, float]) -> tuple[Motion, str]:
     """Return the motion and its name."""
     if isinstance(motion, str):
         if motion not in MOTIONS:
             raise MagycError(f"motion: {motion!r} is not one of {', '.join(MOTIONS)}")
         return MOTIONS[motion], motion
-    amplitude = np.asarray(motion, dtype=float)
-    if amplitude.shape != (3,) or not ((amplitude > 0) & (amplitude <= 360)).all():
+    amplitude = _finite("motion", motion, (3,))
+    if not ((amplitude > 0) & (amplitude <= 360)).all():
         raise MagycError(
             f"motion: amplitudes of roll, pitch and heading must be above 0 and at most 360 degrees, got {motion!r}"
         )
@@ -178,6 +193,10 @@ def _path(motion: str | tuple[float, float, float]) -> tuple[Motion, str]:
 
 def _channels(requested: Sequence[str] | None, needed: Sequence[str]) -> tuple[str, ...]:
     names = needed if requested is None else requested
+    if isinstance(names, str) or not isinstance(names, Iterable) or not all(isinstance(n, str) for n in names):
+        raise MagycError(
+            f"channels: a list of names is needed, got {names!r:.60}; there are {', '.join(CHANNELS)}"
+        )
     unknown = sorted(set(names) - {*CHANNELS, "acceleration"})
     if unknown:
         raise MagycError(f"channels: {unknown[0]!r} is not one of {', '.join(CHANNELS)}")

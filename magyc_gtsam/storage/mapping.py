@@ -31,7 +31,7 @@ def load_mapping(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
             (which could expand beyond memory).
     """
     path = Path(path)
-    kind = path.suffix or "YAML"
+    kind = path.suffix.lower() or "YAML"
     try:
         largest = _LARGEST.get(kind, _LARGEST_YAML)
         if path.stat().st_size > largest:

@@ -151,4 +151,4 @@ def _check_options(kernel_name: Any, width: Any, solver: Any) -> None:
     if width is not None and (
         isinstance(width, bool) or not isinstance(width, (int, float)) or not 0 < width < 1e-3
     ):
-        raise MagycError(f"width: must be between 0 and 1e-3 T, got {width!r}")
+        raise MagycError(f"width: must be above 0 and below 1e-3 T, got {width!r}")

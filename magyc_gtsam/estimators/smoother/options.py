@@ -211,5 +211,5 @@ class SmootherOptions:
 
 def _number(name: str, value: Any, low: float, high: float, unit: str) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
-        low = max(low, 0.0) if low > -1e-9 else low
-        raise MagycError(f"{name} must be between {low:g} and {high:g} {unit}".rstrip() + f", got {value!r}")
+        least = "at least 0" if -1e-9 < low < 0 else f"above {low:g}"  # such a limit lets 0 itself through
+        raise MagycError(f"{name} must be {least} and below {high:g} {unit}".rstrip() + f", got {value!r}")
