@@ -11,10 +11,11 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.alignment import rotation_of
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import check_kind, factor_details
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array
+from magyc_gtsam.factors.variables import Array, key_name
 
 _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
 # Fraction of the tolerance that applies at the first check of a quadratic, when renewing it costs least. With 1
@@ -174,10 +175,13 @@ def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.L
     For a `field_chain_factor` at its solution this is the marginal of the whole log, a prior for the next mission.
 
     Raises:
-        MagycError: no factor or no values, or as the factor itself.
+        MagycError: no factor, no values or not all of its keys in them, or as the factor itself.
     """
     check_kind("native factor: `factor`", factor, gtsam.NonlinearFactor, "a factor of GTSAM or of this package")
     check_kind("native factor: `point`", point, gtsam.Values, "the gtsam.Values at which to linearise")
+    keys: list[int] = factor.keys()
+    if missing := [key_name(key) for key in keys if not point.exists(key)]:
+        raise MagycError(f"native factor: no value for {', '.join(missing)}; insert one before")
     return gtsam.LinearContainerFactor(_square_root(factor.linearize(point)), point)
 
 

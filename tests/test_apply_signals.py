@@ -123,6 +123,9 @@ def test_counts_are_not_tesla() -> None:
         IN_COUNTS.apply(REC)
     with pytest.raises(mg.MagycError, match="must be in T, .* got a recording in counts"):
         PLAIN.apply(COUNTS)
+    for show in (IN_COUNTS.plot, lambda recording: IN_COUNTS.report("page.html", recording)):
+        with pytest.raises(mg.MagycError, match="must be in counts, .* got a recording in T"):
+            show(REC)
     np.testing.assert_array_equal(IN_COUNTS.apply(COUNTS), COUNTS.magnetic_field - IN_COUNTS.hard_iron)
     assert repr(IN_COUNTS).endswith("hard iron (500.00, 0.00, -7.50) counts)")
     assert repr(replace(PLAIN, hard_iron=[5e-6, 0, 0])).endswith("hard iron (5.00, 0.00, 0.00) µT)")

@@ -170,6 +170,12 @@ CASES: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...], str]] = {
     "covariance": (lambda covariance: known(covariance=covariance), ("a", None, [["a"] * 9] * 9), "covariance"),
     "factor": (lambda factor: native_factor(factor, gtsam.Values()), (3, None), "native factor: `factor` is a"),
     "point": (lambda point: native_factor(link(), point), (3, None), "native factor: `point` is a"),
+    "value of a key": (
+        lambda key: native_factor(gtsam.PriorFactorDouble(key, 0.0, gtsam.noiseModel.Unit.Create(1)), gtsam.Values()),
+        (KEYS[0],),
+        "native factor: no value for a0",
+    ),
+    "side": (lambda side: effects(side=side), (3, None, "left", ["left"]), "neither 'magnetometer' nor 'gyroscope'"),
     "shape": (lambda shape: sphere_factor(*KEYS, READING, 1.0, shape=shape), (["full"], 3), "shape .* unknown"),
     "kernel": (
         lambda robust: gyro_derivative_factor(*KEYS, RATE, RATE, RATE, 1.0, robust=robust),

@@ -92,7 +92,7 @@ def effect_chain_factor(
     check_chain("effect chain", samples, noise, delay, soft_iron_unit, field_unit)
     value_keys = listed_keys(value_key)
     effects = list(columns) if np.iterable(value_key) else [np.asarray(columns)]
-    sides = [side] * len(value_keys) if isinstance(side, str) else list(side)
+    sides = list(side) if np.iterable(side) and not isinstance(side, str) else [side] * len(value_keys)
     if not 0 < len(value_keys) == len(effects) == len(sides):
         raise MagycError(
             f"{len(value_keys)} value keys, {len(effects)} columns and {len(sides)} sides; each effect has one of each"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.signals import check_field_units
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.result import Gap
@@ -121,6 +122,7 @@ def _recording_of(calibration: Calibration, recording: Recording | None) -> Reco
     if recording is None:
         raise MagycError("the calibration does not hold its recording (it was loaded or changed): pass recording=")
     expect_recording("recording", recording)
+    check_field_units(recording, calibration.magnetic_field_unit)
     return recording
 
 
