@@ -28,20 +28,20 @@ def with_term(name: str, **setting: float) -> mg.Calibration:
 CURRENTS, STEP = with_term("motor-current"), with_term("hard-iron-step", time=3.0)
 
 
-@pytest.mark.parametrize("current", [np.full(N, np.nan), np.full((N, 2), np.nan)])
+@pytest.mark.parametrize("current", [np.full(N, np.nan), np.full((N, 2), np.nan), np.empty((N, 0))])
 def test_a_channel_without_a_value_is_a_channel_that_is_not_there(current: np.ndarray) -> None:
     with pytest.raises(mg.MagycError) as absent:
         CURRENTS.apply(replace(REC, channels={}))
     with pytest.raises(mg.MagycError) as empty:
         CURRENTS.apply(replace(REC, channels={"current": current}))
     assert str(empty.value) == str(absent.value)
-    with pytest.raises(mg.MagycError, match="channel 2 of its kind .* no value"):
-        CURRENTS.apply(replace(REC, channels={"current": np.column_stack([CURRENT, current])}))
 
 
-def test_a_channel_without_a_value_that_no_term_reads_is_left_alone() -> None:
+def test_a_column_without_a_value_is_refused_where_a_term_reads_it() -> None:
     first = with_term("motor-current", reference_0=0.0)
     other = np.column_stack([CURRENT, np.full(N, np.nan)])
+    with pytest.raises(mg.MagycError, match="channel 2 of its kind .* no value"):
+        CURRENTS.apply(replace(REC, channels={"current": other}))
     np.testing.assert_array_equal(first.apply(replace(REC, channels={"current": other})), first.apply(REC))
 
 
@@ -91,7 +91,9 @@ def test_no_rows_are_no_data_for_a_term() -> None:
     for calibration in (CURRENTS, STEP):
         with pytest.raises(mg.MagycError, match="magnetic_field: 0 rows"):
             calibration.apply(REC.magnetic_field[:0], **none)
-    assert PLAIN.apply(REC.magnetic_field[:0], **none).shape == (0, 3)
+    turned = replace(PLAIN, terms=(Term("misalignment", [0.01, 0.0, 0.0], 1e-6 * np.eye(3)),))
+    for calibration in (PLAIN, turned):
+        assert calibration.apply(REC.magnetic_field[:0], **none).shape == (0, 3)
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals:
     """
     matrix, turn = _axis_exchange(terms)
     still = matrix @ measured - bias[:, None]
-    own = [term for term in terms if term.side == "gyroscope" and term.name != "misalignment"]
+    own = [term for term in terms if term.side == "gyroscope" and term.subtracted]
 
     def added(rate: Array) -> Array:
         at = replace(signals, rate=rate)
@@ -99,7 +99,7 @@ def corrected_field(
     _, turn = _axis_exchange(terms)
     if signals.rate is not None:
         signals = replace(signals, rate=turn @ signals.rate)
-    own = [term for term in terms if term.side == "magnetometer" and term.name != "timing"]
+    own = [term for term in terms if term.side == "magnetometer" and term.subtracted]
     needed = {name for term in own for name in FORMS[term.name].needs}
     if "to_sensor" in needed:
         signals = replace(signals, to_sensor=_to_sensor(signals))

@@ -83,9 +83,7 @@ def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
     for kind in CHANNELS:
         found = [channels[name] for name in sorted(channels) if kind in kinds(name)]
         if found:
-            result[kind] = np.concatenate(
-                [np.asarray(value, dtype=float).reshape(len(value), -1).T for value in found]
-            )
+            result[kind] = np.concatenate([np.atleast_2d(np.asarray(value, dtype=float).T) for value in found])
     return result
 
 
@@ -95,7 +93,7 @@ def rows_by_kind(channels: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
     for kind in CHANNELS:
         found = [name for name in sorted(channels) if kind in kinds(name)]
         if found:
-            columns = [np.asarray(channels[name]).reshape(len(channels[name]), -1).shape[1] for name in found]
+            columns = [len(np.atleast_2d(np.asarray(channels[name]).T)) for name in found]
             result[kind] = tuple(
                 name if count == 1 else f"{name} {column + 1}"
                 for name, count in zip(found, columns, strict=True)

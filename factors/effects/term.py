@@ -58,6 +58,11 @@ class Term:
         return FORMS[self.name].side if self.name in FORMS else None
 
     @property
+    def subtracted(self) -> bool:
+        """Whether it is subtracted from readings; a timing moves stamps, and a misalignment turns axes."""
+        return self.side is not None and self.name not in ("timing", "misalignment")
+
+    @property
     def remembers(self) -> bool:
         """Whether its contribution to a reading depends on other readings: a lag, a loop, a place passed by."""
         return self.name in FORMS and (FORMS[self.name].remembers or self.setting.get("lag", 0.0) > 0)

@@ -56,7 +56,7 @@ def as_signals(name: str, rows: int, given: Mapping[str, Any], terms: Sequence[T
         MagycError: a signal does not hold numbers or has another number of rows, or there are too few rows for the
             terms.
     """
-    if terms and not rows:
+    if not rows and any(term.subtracted for term in terms):
         raise MagycError(f"{name}: 0 rows, at least 1 is needed by a calibration with terms")
     memory = [term.name for term in terms if term.remembers]
     if memory and rows == 1:

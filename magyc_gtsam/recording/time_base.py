@@ -41,7 +41,7 @@ def unite(
     streams = {"magnetic_field": magnetic_field, "angular_rate": angular_rate}
     first_time, _ = _pair("magnetic_field", magnetic_field)
     clock = _Clock(is_calendar(first_time), origin_of(first_time))
-    clean = {k: _stream(k, v, 3, clock) for k, v in streams.items() if v is not None or k == "magnetic_field"}
+    clean = {k: _stream(k, v, 3, clock) for k, v in streams.items() if v is not None}
     first = max(t[0] for t, _ in clean.values())
     last = min(t[-1] for t, _ in clean.values())
     if last <= first:
@@ -109,7 +109,7 @@ def _pair(name: str, stream: Any) -> tuple[ArrayLike, ArrayLike]:
     if not isinstance(stream, tuple | list) or len(stream) != 2:
         got = f"{len(stream)} things" if isinstance(stream, tuple | list) else f"a {type(stream).__name__}"
         raise MagycError(
-            f"{name}: must be the pair (time, values), got {got}; samples of one clock are for Recording"
+            f"{name}: must be the pair (time, values), got {got}; for sensors of one clock use Recording"
         )
     return stream[0], stream[1]
 
