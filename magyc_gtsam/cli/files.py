@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from magyc_gtsam.storage.files import copied_into, is_stream, link_target
+
 try:
     import fcntl
 except ImportError:  # Windows has no such locks; temporary directories of killed runs are not removed there
@@ -24,11 +26,29 @@ _LOCK = "lock"
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary file that replaces `path` when the block ends, and is removed if the block raises."""
+    """Yield a temporary file that replaces `path` when the block ends, and is removed if the block raises.
+
+    Of a link the target is replaced; a device or a pipe stays, and the data is written into it.
+
+    Raises:
+        OSError: `path` is a folder, or cannot be written; it names `path`.
+    """
+    _refuse_folder(path)
+    if is_stream(path):
+        with copied_into(path) as part:
+            yield part
+        return
+    path = link_target(path)
     with _temporary(path.parent) as directory:
         part = directory / path.name
-        yield part
-        os.replace(part, path)
+        try:
+            yield part
+            os.replace(part, path)
+        except OSError as error:
+            # A full disk is reported without a name, other failures with that of the temporary file.
+            if error.filename is None or str(error.filename).startswith(str(directory)):
+                raise OSError(error.errno, error.strerror, str(path)) from None
+            raise
 
 
 @contextmanager
@@ -60,8 +80,10 @@ def refuse_unwritable(file: Path) -> None:
     Raises:
         OSError: they cannot, or `file` is a folder.
     """
-    if file.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "expected a file, this is a folder", str(file))
+    _refuse_folder(file)
+    if is_stream(file):
+        return
+    file = link_target(file)
     _refuse_files(file.parents)
     file.parent.mkdir(parents=True, exist_ok=True)
     # The file is unnamed if the system supports it, so that nothing can remain.
@@ -151,6 +173,12 @@ def _unstoppable() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
+
+
+def _refuse_folder(file: Path) -> None:
+    """Raise an IsADirectoryError if the path of a file is a folder."""
+    if file.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "expected a file, this is a folder", str(file))
 
 
 def _refuse_files(folders: Iterable[Path]) -> None:

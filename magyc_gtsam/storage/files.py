@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,7 +25,8 @@ def whole_file(file: Path) -> Iterator[Path]:
     """Yield a temporary file that replaces `file` when the block ends, and is removed if the block raises.
 
     The folder is created if it does not exist. Writers of the same file wait for each other, so that each file is one
-    of theirs. The temporary file that a killed process leaves behind is overwritten by the next run.
+    of theirs. The temporary file that a killed process leaves behind is overwritten by the next run. Of a link the
+    target is replaced; a device or a pipe stays, and the data is written into it.
 
     Raises:
         MagycError: the file cannot be written.
@@ -30,6 +34,11 @@ def whole_file(file: Path) -> Iterator[Path]:
     try:
         if file.is_dir():
             raise IsADirectoryError(None, "it is a folder")
+        if is_stream(file):
+            with copied_into(file) as part:
+                yield part
+            return
+        file = link_target(file)
         part = file.with_name(file.name + ".part")
         file.parent.mkdir(parents=True, exist_ok=True)
         with _own(part):
@@ -43,6 +52,33 @@ def whole_file(file: Path) -> Iterator[Path]:
         raise MagycError(
             f"{file}: cannot be written ({error.strerror or error}); check the path, its permissions and the space left"
         ) from None
+
+
+def is_stream(file: Path) -> bool:
+    """Return whether a path is a device, a pipe or a socket, or a link to one, which a new file must not replace."""
+    return file.exists() and not file.is_file() and not file.is_dir()
+
+
+def link_target(file: Path) -> Path:
+    """Return the file that a link leads to, which need not exist; any other path unchanged.
+
+    Raises:
+        OSError: links lead to each other.
+    """
+    target = Path(os.path.realpath(file)) if file.is_symlink() else file
+    if target.is_symlink():
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(file))
+    return target
+
+
+@contextmanager
+def copied_into(stream: Path) -> Iterator[Path]:
+    """Yield a temporary file whose data is written into a device or a pipe when the block ends without an error."""
+    with tempfile.TemporaryDirectory() as directory:
+        part = Path(directory) / stream.name
+        yield part
+        with open(part, "rb") as data, open(stream, "wb") as opened:
+            shutil.copyfileobj(data, opened)
 
 
 @contextmanager
