@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from magyc_gtsam import __version__
 from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, distinct_names, headline, labels, shown, write_tables
-from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder
+from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder, remove_results
 from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
 
 if TYPE_CHECKING:
@@ -110,6 +110,9 @@ def calibrate_logs(
         progress = stage(f"calibrating {len(each)} logs")
         rows = run_many(calibrate_one, tasks, engine=engine, parts=parts, progress=progress)
     table = [_table_row(tasks[key], row) for key, row in rows.items()]
+    for row, key in zip(table, rows, strict=True):
+        if row["exit_code"] == 2:
+            remove_results(tasks[key].folder)  # the page says that the log is refused
     write_tables(folder, table)
     if open_page:
         show_page(folder / "index.html")

@@ -92,6 +92,17 @@ def write_exports(folder: Path, calibration: Calibration, force: bool = False) -
         (folder / name).write_text(text, encoding="utf-8")
 
 
+def remove_results(folder: Path) -> None:
+    """Remove the files of an earlier run on a log that is refused now, and the folder if it is empty then."""
+    if not folder.is_dir():
+        return
+    remove_exports(folder)
+    for name in ("calibration.yaml", "configuration.yaml", "report.html"):
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):  # there are other files
+        folder.rmdir()
+
+
 def remove_exports(folder: Path) -> None:
     """Remove the parameters of an earlier run, which must not remain beside an untrusted calibration."""
     for name in EXPORTS.values():
