@@ -15,6 +15,12 @@ from magyc_gtsam.storage.files import expect_path
 
 SUFFIXES = (".mcap", ".ulg", ".bin", ".csv", ".txt", ".tsv", ".dat", ".log")
 _PATTERN = ("*", "?", "[")
+# Results of the command line with the suffix of a log, and a file that each is beside.
+_RESULTS = {
+    "vectornav.txt": ("calibration.yaml", "next.yaml"),
+    "calibrations.csv": ("index.html",),
+    "comparison.csv": ("comparison.json",),
+}
 
 Paths = str | PathLike[str] | Iterable[str | PathLike[str]]
 
@@ -23,7 +29,7 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
     """Return the logs that files, folders (recursively) and patterns name, each once.
 
     A file is accepted with any suffix; from folders and patterns only files with the suffix of a log are, and none
-    whose name begins with a dot.
+    whose name begins with a dot or that is a result of the command line.
 
     Raises:
         MagycError: a path does not exist, or a folder or pattern has no logs.
@@ -52,7 +58,13 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
 
 
 def _is_log(file: Path) -> bool:
-    return file.is_file() and file.suffix.lower() in SUFFIXES and not file.name.startswith(".")
+    beside = _RESULTS.get(file.name, ())
+    return (
+        file.is_file()
+        and file.suffix.lower() in SUFFIXES
+        and not file.name.startswith(".")
+        and not any(file.with_name(name).exists() for name in beside)
+    )
 
 
 class Logs(Sequence[Recording]):

@@ -8,6 +8,7 @@ from datetime import datetime, timezone
 
 import numpy as np
 
+from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.history import History
 from magyc_gtsam.history.log_factor import HARD_IRON
 from magyc_gtsam.recording import Array
@@ -17,6 +18,7 @@ from magyc_gtsam.report.verdict import Verdict, said
 from magyc_gtsam.report.words import parameter_rows
 
 _AXES = ("x", "y", "z")
+_MOST_GROUPS = 3  # that the verdict names
 _BAND = 1.96  # sigmas
 _BARS = "Bars: 95% interval (±1.96σ)."
 
@@ -64,7 +66,7 @@ def by_log(names: Sequence[str], hard_iron: Array, sigma: Array) -> list[Figure]
 
 
 def history_page(history: History) -> str:
-    """Return the page of a history: hard iron over the logs, jumps, contradictions, groups, the next calibration."""
+    """Return the page of a history: hard iron over the logs, jumps, unused logs, groups, the next calibration."""
     jumps, names = history_rows(history), history.names
     following = history.next
     parameters = [[name, *cells, *[""] * (3 - len(cells))] for name, cells in parameter_rows(following)]
@@ -77,7 +79,7 @@ def history_page(history: History) -> str:
             [] if jumps else ["The hard iron did not jump."],
         ),
         Section(
-            "Logs that contradict the rest",
+            "Logs that are not used",
             sentences=[f"{each.name}: {each.sentence}" for each in history.contradictions] or ["None."],
         ),
         Section(
@@ -95,12 +97,15 @@ def history_page(history: History) -> str:
 
 def judged_history(history: History) -> Verdict:
     """Return the verdict on a history, for page, terminal and exit code."""
-    instruments = len([group for group in history.groups if len(group) > 1]) or 1
+    largest = len(history.groups[0])
+    instruments = [group for group in history.groups if len(group) > 1 or len(group) == largest]
     jumps = len(history.jumps)
-    if instruments > 1:
+    if len(instruments) > 1:
+        members = "; ".join(listed([history.names[i] for i in group]) for group in instruments[:_MOST_GROUPS])
+        more = "; and more" if len(instruments) > _MOST_GROUPS else ""
         return Verdict(
             False,
-            f"the logs are of {instruments} instruments",
+            f"the logs are of {len(instruments)} instruments ({members}{more})",
             "give the logs of one instrument alone",
             called="The logs do not belong together",
         )
