@@ -191,6 +191,20 @@ def test_a_history_of_the_first_format_is_read(dives: tuple[LogFactor, ...], tmp
     np.testing.assert_array_equal(History.load(tmp_path / "history.yaml").next.covariance, history.next.covariance)
 
 
+def test_what_is_no_log_of_its_own_is_no_step_of_the_walk(dives: tuple[LogFactor, ...]) -> None:
+    logs = draw_season(1, dives, SeasonPlan(dives=4)).factors
+    apart = [replace(log, time=None, samples=name) for log, name in zip(logs, "abcd", strict=True)]
+    alone = History(apart)
+    unread = LogFactor("table.csv", None, None, None, problem="no magnetometer")
+    untrusted = replace(unread, name="still.mcap", problem="too little motion", samples="e")
+    more = History([unread, *apart[:2], unread, replace(apart[0], name="copy"), *apart[2:], unread, unread])
+    np.testing.assert_allclose(more.next.covariance, alone.next.covariance, rtol=0.02)
+    assert [each.index for each in more.contradictions] == [0, 3, 4, 7, 8]
+    assert more.contradictions[2].sentence.startswith("the same samples as ")
+    waited = History([*apart, untrusted, untrusted])  # logs, though nothing is learned from them
+    assert waited.next.covariance[6, 6] > 1.1 * alone.next.covariance[6, 6]
+
+
 def test_a_log_that_fails_stays_a_row() -> None:
     good = [mg.simulate("wide", 120, 10, seed=seed).recording for seed in range(3)]
     blind = mg.Recording(good[0].time, good[0].magnetic_field)
@@ -198,7 +212,7 @@ def test_a_log_that_fails_stays_a_row() -> None:
     assert history.groups == ((0, 2, 3),)
     (contradiction,) = history.contradictions
     assert contradiction.index == 1
-    assert "not calibrated" in contradiction.sentence
+    assert "has no angular rate" in contradiction.sentence
     assert len(history.calibrations) == 4
     off = (history.hard_iron[1] - history.hard_iron[0]) / np.sqrt(np.diag(history.hard_iron_covariance[1]))
     assert np.abs(off).max() < 3

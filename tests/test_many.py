@@ -6,6 +6,7 @@ import csv
 import json
 import multiprocessing
 import os
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -139,6 +140,9 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     shown = json.loads(capsys.readouterr().out)
     assert shown["groups"] == [[0, 1]]
     assert shown["contradictions"][0][0] == 2
+    assert main(["history", str(season / "a.mcap"), str(season / "june"), "-o", str(folder)]) == 0
+    (unused,) = (line for line in capsys.readouterr().out.splitlines() if "broken.csv" in line)
+    assert re.fullmatch(r"\S*broken.csv +– +– +not used: holds a header but no data", unused)
     following = mg.Calibration.load(folder / "next.yaml")
     assert shown["next"]["hard_iron"] == following.hard_iron.tolist()
     assert "from one log to the next" in shown["verdict"]["sentence"]
@@ -177,20 +181,44 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "calibrate all of them with the same gyroscope_scale" in capsys.readouterr().err
 
 
-def test_parameters_of_an_earlier_run_do_not_stay_beside_an_untrusted_result(tmp_path: Path) -> None:
+def test_parameters_of_an_earlier_run_do_not_stay_beside_an_untrusted_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     a, b, c, d = (str(tmp_path / f"{name}.mcap") for name in "abcd")
     one, other = np.eye(3), np.diag([1.2, 0.9, 1.0])
     for seed, (path, iron) in enumerate(((a, one), (b, one), (c, other), (d, other))):
         write_mcap(path, mg.simulate("wide", 120, 10, seed=seed, soft_iron=iron).recording)
     together, each = tmp_path / "together", tmp_path / "each"
-    for logs, code in (([a, b], 0), ([a, b, c, d], 1)):  # one instrument, then two
+    for logs, code in (([a, b], 0), ([a, b, c, d], 1), ([a, b], 0), ([a, c], 1)):  # one instrument, or two
         assert main(["history", *logs, "-o", str(together), "-q"]) == code
         assert (together / "px4.params").exists() == (code == 0)
         assert mg.Calibration.load(together / "next.yaml").trusted == (code == 0)
+        assert (": give the logs of one instrument alone" in capsys.readouterr().err) == (code == 1)
     for code in (0, 1):
         assert main(["calibrate", a, b, "-o", str(each), "-q"]) == code
         assert (each / "a" / "px4.params").exists() == (code == 0)
         write_mcap(a, mg.simulate("tiny", 30, 10).recording)
+    write_mcap(a, mg.simulate("wide", 120, 10, seed=1).recording)
+    assert main(["calibrate", a, b, "-o", str(each), "-q"]) == 0
+    Path(a).write_text("time,nothing\n")
+    assert main(["calibrate", a, b, "-o", str(each), "-q"]) == 2
+    assert not (each / "a").exists()  # nothing of a log that is refused now
+    assert (each / "b" / "px4.params").exists()
+
+
+def test_results_are_not_read_as_logs(season: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "season"
+    shutil.copytree(season, folder)
+    logs = find_logs(folder)
+    one = str(folder / "a.mcap")
+    assert main(["calibrate", str(folder), "-o", str(folder / "results"), "-q"]) == 2
+    assert main(["history", one, "-o", str(folder / "history"), "-q"]) == 0
+    assert main(["compare", one, "-o", str(folder / "compared"), "-q", "--methods", "smoother"]) in (0, 1)
+    assert {file.name for file in folder.rglob("*.csv")} >= {"calibrations.csv", "comparison.csv"}
+    assert len(list(folder.rglob("vectornav.txt"))) == 3
+    assert find_logs(folder) == logs
+    (folder / "vectornav.txt").write_text("time,mx,my,mz\n")  # no result, as none is beside it
+    assert folder / "vectornav.txt" in find_logs(folder)
 
 
 def units(count: int) -> dict[str, Any]:

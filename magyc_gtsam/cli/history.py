@@ -139,17 +139,18 @@ def _show(history: History) -> None:
     from magyc_gtsam.report.summary_page import history_rows
 
     header, rows = ["log", "hard iron x, y, z (µT)", "±", ""], []
-    unused = {each.index for each in history.contradictions}
+    unused = {each.index: each.sentence for each in history.contradictions}
     for i, (name, iron, calibration) in enumerate(
         zip(history.names, history.hard_iron, history.calibrations, strict=True)
     ):
+        if i in unused:  # the history knows a hard iron at that time, but not from this log
+            rows.append([name, "–", "–", f"not used: {unused[i]}"])
+            continue
         sigma = calibration.sigma["hard_iron"].max() * 1e6
-        rows.append([name, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}"])
-        rows[-1].append("not used" if i in unused else "")
-    show_table(header, rows)
+        rows.append([name, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}", ""])
+    show_table(header, rows, words=(3,))
     show("")
     show(*(with_minus(f"jump before {' '.join(map(str, row))}") for row in history_rows(history)))
-    show(*(f"contradicts: {each.name}: {each.sentence}" for each in history.contradictions))
     if len(history.groups) > 1:
         show(*(f"group: {', '.join(history.names[i] for i in group)}" for group in history.groups))
 

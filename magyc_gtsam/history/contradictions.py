@@ -1,4 +1,4 @@
-"""Detection of the logs that contradict the others of their instrument."""
+"""Detection of the logs that are not used, as those that contradict the others of their instrument."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _UNITS = (
 
 @dataclass(frozen=True)
 class Contradiction:
-    """One log that contradicts the others.
+    """One log that is not used.
 
     Attributes:
         index: index of the log.
         name: name of the log.
-        sentence: the parameter that differs, by how much and by how many sigmas.
+        sentence: why: the parameter that differs, by how much and by how many sigmas, or why it has no calibration.
     """
 
     index: int
@@ -38,9 +38,7 @@ def contradictions_of(
     factors: Sequence[LogFactor], groups: Sequence[Sequence[int]], instruments: Sequence[Instrument]
 ) -> tuple[Contradiction, ...]:
     """Return the logs without a calibration, those labelled wrong, and those alone in a group."""
-    contradictions = [
-        Contradiction(i, f.name, f"not calibrated: {f.problem}") for i, f in enumerate(factors) if f.mean is None
-    ]
+    contradictions = [Contradiction(i, f.name, f.problem) for i, f in enumerate(factors) if f.mean is None]
     main = instruments[0]
     for instrument in instruments:
         for k in np.flatnonzero(instrument.label == WRONG):

@@ -35,7 +35,7 @@ class CountedLogs:
             first = self.same_samples(factor)
             if first is not None:
                 problem = f"the same samples as {first.name}, which count once"
-                factor = replace(factor, mean=None, covariance=None, problem=problem)
+                factor = replace(factor, mean=None, covariance=None, problem=problem, samples="")
             for key in _keys(factor):
                 self._with.setdefault(key, []).append(len(self._logs))
             self._logs.append(factor)

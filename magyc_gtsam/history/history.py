@@ -163,7 +163,7 @@ class History:
 
     @cached_property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """The logs that contradict the others, and in which parameter."""
+        """The logs that are not used: without a calibration, or contradicting the others, and in which parameter."""
         return contradictions_of(self.factors, self.groups, self._instruments)
 
     @cached_property

@@ -164,9 +164,9 @@ def solve_instrument(
 
 
 def elapsed_of(logs: Sequence[LogFactor], dated: bool) -> Array:
-    """Return the days (k − 1,) between neighbours, or 1 each without dates."""
+    """Return the days (k − 1,) between neighbours; without dates 1 before each log that counts as one."""
     if not dated:
-        return np.ones(len(logs) - 1)
+        return np.array([1.0 if log.counts else _LEAST_ELAPSED for log in logs[1:]])
     return np.maximum(np.diff(np.array([log.time for log in logs], dtype=np.float64)) / DAY, _LEAST_ELAPSED)
 
 

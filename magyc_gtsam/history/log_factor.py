@@ -59,7 +59,8 @@ class LogFactor:
         log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
         field_strength: field strength, T, estimated or given.
         problem: why the log has no information; "" if it has.
-        samples: fingerprint of its recording; "" in a history of an earlier version.
+        samples: fingerprint of its recording; "" in a history of an earlier version, of a file that cannot be read, and
+            of a copy of another log.
     """
 
     name: str
@@ -75,6 +76,11 @@ class LogFactor:
     problem: str = ""
     samples: str = ""
     noise_covariance: Array | None = None
+
+    @property
+    def counts(self) -> bool:
+        """Whether time passes until this log: a file that cannot be read and a copy are no logs of their own."""
+        return self.mean is not None or bool(self.samples)
 
     @property
     def model_error(self) -> Array:
@@ -131,7 +137,7 @@ def factor_of(recording: Recording, time: float | None, options: dict[str, Any])
     try:
         calibration = calibrate(recording, **options)
     except MagycError as problem:
-        return LogFactor(recording.name, when, None, None, problem=str(problem))
+        return LogFactor(recording.name, when, None, None, problem=str(problem), samples=fingerprint(recording))
     return replace(compress(calibration, recording.name, when), samples=fingerprint(recording))
 
 
