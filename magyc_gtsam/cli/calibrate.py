@@ -17,6 +17,7 @@ from magyc_gtsam.cli.options import CONFIGURED, with_groups
 from magyc_gtsam.cli.reading import Reading, parse_pairs
 from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder
 from magyc_gtsam.cli.terminal import (
+    complain,
     concluded,
     show,
     show_calibration,
@@ -109,6 +110,8 @@ def run(
         return show_plan(plan, options, quiet, json)
     folder = output or dated_folder(reading.log)
     task = Task(reading, method, options, unchecked, folder, tuple(context.obj), force)
+    if remark := given.check_configured_log(context, reading.log, config):
+        complain(f"note: {remark}")
     if sensor == "accelerometer":
         for name, wanted in (
             ("--all", every),

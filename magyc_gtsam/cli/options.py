@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 CONFIGURED = "configured"  # key of `Context.meta`: arguments of the method that are no defaults of options
+CHECKSUM = "checksum"  # key of `Context.meta`: SHA-256 of the log of --config; None if unknown
 _WITH_OPTION = ("robust", "window", "noise", "delay", "field_strength")
 
 
@@ -19,12 +20,12 @@ def from_file(context: typer.Context, path: Path | None) -> Path | None:
     """Use the options in the file as defaults of those that are not given; the callback of --config."""
     if path is None:
         return None
-    context.default_map, context.meta[CONFIGURED] = _defaults(path)
+    context.default_map, context.meta[CONFIGURED], context.meta[CHECKSUM] = _defaults(path)
     return path
 
 
-def _defaults(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the options of `calibrate` by their names, and the other arguments, from a configuration.yaml."""
+def _defaults(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
+    """Return the options of `calibrate` by their names, the other arguments and the log's SHA-256, if it is known."""
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.storage.mapping import load_mapping
 
@@ -41,7 +42,9 @@ def _defaults(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise MagycError(f"--config: {path}: options must be a mapping of names to values, got {options!r}")
     try:
         others = {name: value for name, value in options.items() if name not in _WITH_OPTION}
-        return {**values["reading"], "method": values["method"], **_as_options(options)}, others
+        log = values.get("log")
+        checksum = log.get("sha256") if isinstance(log, dict) else None
+        return {**values["reading"], "method": values["method"], **_as_options(options)}, others, checksum
     except (TypeError, ValueError) as problem:
         raise MagycError(f"--config: {path}: an option has the wrong type ({problem})") from None
 
@@ -88,6 +91,27 @@ def with_groups(command: Callable[..., int]) -> Callable[..., int]:
     run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
     run.__annotations__ = types
     return run
+
+
+def check_configured_log(context: typer.Context, log: Path, config: Path | None) -> str:
+    """Return a remark if the log is not the one of --config but was given on the command line; "" otherwise.
+
+    Raises:
+        MagycError: it is not the one of --config, whose path it has, and was not given on the command line.
+    """
+    from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.storage.files import sha256
+
+    known = context.meta.get(CHECKSUM)
+    if known is None or not log.is_file() or sha256(log) == known:
+        return ""
+    source = context.get_parameter_source("log")
+    if source is not None and source.name == "COMMANDLINE":
+        return f"{log} is not the log of {config}, only its options are used"
+    raise MagycError(
+        f"--config: {log} has changed since {config} was written (its sha256 is another), so that the run cannot be "
+        f"repeated; restore the log, or name it if another one is meant (magyc-gtsam calibrate {log} --config {config})"
+    )
 
 
 Log = Annotated[
