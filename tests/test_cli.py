@@ -9,6 +9,7 @@ import os
 import pkgutil
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -186,6 +187,16 @@ def test_a_configuration_is_read_back(logs: Path, tmp_path: Path) -> None:
     other_part, rest = ("--start", 111, "--end", 180), ("--start", 181, "--end", 240)
     prior = ("--prior", "first/calibration.yaml", "--hard-iron-walk", 2, "--option", "turn=0.2", *other_part)
     assert run("calibrate", logs / "dive.mcap", "-o", "known", "-q", *prior, cwd=tmp_path).returncode == 0
+    moved = tmp_path / "moved.mcap"
+    shutil.copy(logs / "dive.mcap", moved)
+    same_place = (tmp_path / "known/configuration.yaml").read_text(encoding="utf-8")
+    (tmp_path / "moved.yaml").write_text(same_place.replace(str(logs / "dive.mcap"), str(moved)), encoding="utf-8")
+    write_mcap(moved, mg.read(logs / "dive.mcap").between(0, 200))
+    assert "--config: " in (said := refused(run("calibrate", "--config", "moved.yaml", "-q", cwd=tmp_path)))
+    assert "restore the log, or name it" in said
+    meant = run("calibrate", moved, "--config", "moved.yaml", "-q", cwd=tmp_path)
+    assert meant.returncode == 0
+    assert "moved.mcap is not the log of moved.yaml, only its options are used" in meant.stderr
     kept, new = (tmp_path / name / "calibration.yaml" for name in ("kept", "new"))
     repeated = ("calibrate", "--config", "known/configuration.yaml", "-q")
     assert run(*repeated, "-o", "kept", cwd=tmp_path).returncode == 0
@@ -436,6 +447,22 @@ def test_apply(
     assert np.array_equal(calibrated.channels["depth"], raw.channels["depth"], equal_nan=True)
     assert "1700000000.123456789 s" in " ".join(calibrated.notes)
     assert np.linalg.norm(calibrated.magnetic_field, axis=1).std() < 1.2e-6
+    for second in (f"out.{suffix}", "twice.mcap"):
+        again = refused(run("apply", file, f"out.{suffix}", "-o", second.replace("out", "twice"), cwd=tmp_path))
+        assert "the field is calibrated already" in again
+        assert "apply the calibration to the log as it was recorded" in again
+    assert "calibrated already" in run("info", f"out.{suffix}", cwd=tmp_path).stdout
+
+
+def test_apply_of_a_calibration_of_another_instrument(
+    result: tuple[Finished, Path], logs: Path, tmp_path: Path
+) -> None:
+    own = mg.Calibration.load(result[1] / "calibration.yaml")
+    replace(own, hard_iron=own.hard_iron + 4e-4).save(tmp_path / "other.yaml")
+    finished = run("apply", "other.yaml", logs / "dive.mcap", "-o", "out.mcap", "-q", cwd=tmp_path)
+    assert finished.returncode == 1
+    assert finished.stdout == ""
+    assert re.search(r"must not be trusted: apply: .* median strength of \d+ µT", finished.stderr)
 
 
 def test_export(result: tuple[Finished, Path], tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing
 from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading, epoch
-from magyc_gtsam.cli.terminal import concluded, refused, show, stages
+from magyc_gtsam.cli.terminal import complain, concluded, refused, show, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.cli.terminal import Progress
@@ -37,11 +37,13 @@ def run(
     gyroscope bias is subtracted if the method estimated one, and the effects found by `magyc-gtsam gap` are
     corrected; a delay of the magnetometer in the stamps of its samples, which are then earlier. Use the same reading
     options (units, axes) as for the calibration; an effect of a current or a temperature needs that channel in the log.
-    An untrusted calibration is refused with exit code 1.
+    An untrusted calibration is refused with exit code 1, which is also that of a field unlike the Earth's. The output
+    is marked as calibrated, and is refused as a LOG.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.calibration.calibrated import calibrated, lag_of, without_lag
     from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.recording.applied import as_calibrated, is_calibrated
     from magyc_gtsam.report.verdict import judged
 
     if output.suffix.lower() not in (".mcap", ".csv"):
@@ -53,9 +55,14 @@ def run(
         return refused(calibration)
     with replacing(output) as part, stages(shown=not quiet) as stage:
         recording = reading.recording(stage("reading"))
+        if is_calibrated(recording):
+            raise MagycError(
+                f"{reading.log}: the field is calibrated already (magyc-gtsam apply wrote it); apply the calibration "
+                "to the log as it was recorded"
+            )
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            result = calibrated(calibration, recording)
+            result = as_calibrated(calibrated(calibration, recording))
         lag = lag_of(calibration)
         writing = stage("writing")
         copied = ""
@@ -66,8 +73,10 @@ def run(
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(result.magnetometer.time)} samples of the calibrated field{copied}")
-        show(*(f"warning: {each.message}" for each in caught))
-    return concluded(judged(calibration))
+    doubts = [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
+    for doubt in doubts:
+        complain(f"the result must not be trusted: {doubt}")
+    return concluded(judged(calibration)) or int(bool(doubts))
 
 
 def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float, progress: Progress) -> str:
@@ -105,7 +114,7 @@ def _write_csv(path: Path, recording: Recording, origin: int) -> None:
     stamps = np.round(recording.time * 1e9).astype(np.int64) + origin
     every = np.ones(len(recording.time), dtype=bool)
     for name, unit, value, rows in (
-        ("magnetic_field", "T", recording.magnetic_field, recording.magnetic_field_fresh),
+        ("calibrated_magnetic_field", "T", recording.magnetic_field, recording.magnetic_field_fresh),
         ("angular_rate", "rad/s", recording.angular_rate, recording.angular_rate_fresh),
         ("acceleration", "m/s^2", recording.acceleration, recording.angular_rate_fresh),
     ):

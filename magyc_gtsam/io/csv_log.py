@@ -27,6 +27,7 @@ from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.io.units import factor
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.applied import CALIBRATED
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,8 @@ def read(path: Path, request: Request) -> Recording:
     wanted = sorted(used | {c.index for c in extra})
     numbers, stamp, table_notes = _read(table, wanted, time, request)
     notes[:0] = table_notes
+    if groups["magnetic_field"].label == "calibrated_magnetic_field":  # the name that `magyc-gtsam apply` writes
+        notes.insert(0, CALIBRATED)
     places = {k: [wanted.index(c.index) for c in group.columns] for k, group in groups.items()}
     sensors = {}
     for sensor, group in groups.items():

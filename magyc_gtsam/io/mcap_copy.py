@@ -16,10 +16,12 @@ from mcap.writer import Writer
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.mcap_compression import Damage, decompressed
+from magyc_gtsam.io.mcap_records import CALIBRATED_TOPIC, METADATA
 from magyc_gtsam.io.ros_fields import NANOSECONDS, Array
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
 from magyc_gtsam.io.ros_types import short_type
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.applied import is_calibrated
 
 # Offset (bytes) of each sensor's vector from the first number of a message; the numbers are float64.
 _PLACES = {
@@ -62,6 +64,7 @@ class _Copy:
     channels: dict[int, int] = field(default_factory=dict)
     sensors: dict[int, tuple[str, int]] = field(default_factory=dict)  # {channel: (sensor, offset of its vector)}
     count: CopyCounts = field(default_factory=CopyCounts)
+    calibrated_topics: set[str] = field(default_factory=set)  # keys of the metadata
 
     def take(self, record: object) -> None:
         """Copy a record."""
@@ -78,6 +81,8 @@ class _Copy:
             sensor = self._sensor(record)
             if sensor is not None:
                 self.sensors[record.id] = sensor
+                if sensor[0] == "magnetic_field":
+                    self.calibrated_topics.add(CALIBRATED_TOPIC + record.topic)
         elif isinstance(record, Message):
             self._message(record)
         elif isinstance(record, Metadata):
@@ -169,6 +174,8 @@ def copy_mcap(
                 f"{source}: is damaged ({type(error).__name__}), and only a complete MCAP file can be copied; repair "
                 "it with `mcap recover`, or write a table (a name that ends in .csv)"
             ) from None
+        if is_calibrated(calibrated):
+            copy.writer.add_metadata(METADATA, dict.fromkeys(copy.calibrated_topics, "yes"))
         copy.writer.finish()
     if {sensor for sensor, _ in copy.sensors.values()} != set(replaced):
         target.unlink()

@@ -28,6 +28,7 @@ from magyc_gtsam.io.mcap_compression import LARGEST_CHUNK, Damage, allowance, de
 
 MAGIC = b"\x89MCAP0\r\n"
 METADATA = "magyc-gtsam"  # name of the record with data for which ROS messages have no field
+CALIBRATED_TOPIC = "calibrated "  # begins a key there, followed by a topic whose field is calibrated already
 HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size, checksum, length of the compression's name
 _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])

@@ -13,10 +13,11 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.mcap_records import METADATA
+from magyc_gtsam.io.mcap_records import CALIBRATED_TOPIC, METADATA
 from magyc_gtsam.io.ros2 import SENSOR_FIELDS, UNKNOWN, definition, encode, encode_numbers, numbers_of
 from magyc_gtsam.io.ros_fields import NANOSECONDS
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.applied import is_calibrated
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, None: CompressionType.NONE}
 _LATEST = 2**31 * NANOSECONDS  # the seconds of a stamp are an int32
@@ -79,7 +80,8 @@ def write_mcap(
             at = int(topics[i].stamp[k])
             writer.add_message(channels[i], at, topics[i].messages[k], at, k)
         kinds = {"angular_rate_is": recording.angular_rate_is, "attitude_is": recording.attitude_is}
-        writer.add_metadata(METADATA, {"name": recording.name} | kinds)
+        marked = {CALIBRATED_TOPIC + topics[0].name: "yes"} if is_calibrated(recording) else {}
+        writer.add_metadata(METADATA, {"name": recording.name} | kinds | marked)
         writer.finish()
 
 

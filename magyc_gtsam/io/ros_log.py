@@ -14,7 +14,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.mcap_compression import allowance
-from magyc_gtsam.io.mcap_records import Block
+from magyc_gtsam.io.mcap_records import CALIBRATED_TOPIC, Block
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import SENSOR_FIELDS
@@ -22,6 +22,7 @@ from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, checked, choose, needed, u
 from magyc_gtsam.io.ros_topic import LARGEST, Topic
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.applied import CALIBRATED
 
 # Limit of the numbers kept: a multiple of the file's size, and bytes. One-byte numbers grow eightfold.
 _KEPT = (30, 1 << 26)
@@ -46,6 +47,8 @@ def recording_of(load: Load, path: Path, request: Request) -> Recording:
     notes = list(log.notes)
     sensors, used = _sensors(log.topics, request, notes)
     channels = _channels(log.topics, used, request, notes)
+    if "magnetic_field" in sensors and CALIBRATED_TOPIC + sensors["magnetic_field"].name in log.metadata:
+        notes.insert(0, CALIBRATED)
     is_mean: Literal["instant", "interval-mean"] = (
         "interval-mean" if log.metadata.get("angular_rate_is") == "interval-mean" else "instant"
     )
