@@ -10,6 +10,7 @@ import pytest
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
+from magyc_gtsam.io.log_info import turned
 
 RANDOM = np.random.default_rng(5)
 N = 50
@@ -392,3 +393,26 @@ def test_options_of_another_kind(tmp_path: Path, option: dict[str, object]) -> N
     path = write(tmp_path / "a.csv", "t,mx,my,mz", TIME, FIELD)
     with pytest.raises(MagycError, match=next(iter(option)).replace("magnetic_unit", "magnetic_field")):
         read(path, **option)  # type: ignore[arg-type]
+
+
+def test_gaps_and_missing_values_are_named(tmp_path: Path) -> None:
+    names = "time,mx,my,mz,gx,gy,gz"
+    paused = TIME + np.where(np.arange(N) >= N // 2, 3600.0, 0.0)
+    described = info(write(tmp_path / "paused.csv", names, paused, FIELD, RATE))
+    assert "there are no samples from 0.2 to 3600.2 s" in described.warnings
+    assert [source.rate for source in described.sources] == pytest.approx([100, 100], rel=0.05)
+    time = np.arange(600) * 0.1
+    rate = np.column_stack([np.sign(np.sin(time)), 0 * time, 0 * time])  # rad/s
+    gap = np.where(time > 30, 3600.0, 0.0)
+    assert turned(time + gap, rate) == pytest.approx(turned(time, rate), abs=2.5)
+
+    field = FIELD.copy()
+    field[5:40] = np.nan
+    path = write(tmp_path / "missing.csv", names, TIME, field, RATE)
+    said = "m: 35 of 50 lines have no value"
+    assert said in read(path).notes
+    assert {said, "the magnetometer has no samples from 0.0 to 0.4 s"} & {*info(path).warnings} == {said}  # 0.36 s
+    field[:] = np.where(np.arange(N)[:, None] % 3, np.nan, FIELD)  # a third of the gyroscope's rate
+    assert not [
+        note for note in read(write(tmp_path / "slow.csv", names, TIME, field, RATE)).notes if "lines" in note
+    ]

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import attribute
-from magyc_gtsam.io.log_info import LogInfo, Source, turned
+from magyc_gtsam.io.log_info import LogInfo, Source, hole_remarks, turned
 from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.axes import in_magnetometer_axes, parse_axes
+from magyc_gtsam.recording.stamps import holes
 from magyc_gtsam.storage.files import expect_path
 
 if TYPE_CHECKING:
@@ -148,7 +149,9 @@ def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[Log
         else each
         for each in described.sources
     )
-    warnings = (*described.warnings, *notes)
+    pauses = holes(recording.time)
+    sources = tuple(each.with_pauses(pauses) for each in sources)
+    warnings = (*described.warnings, *notes, *hole_remarks(recording))
     return replace(described, sources=sources, warnings=warnings, turned=path_length), recording
 
 

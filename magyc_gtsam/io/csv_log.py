@@ -31,6 +31,7 @@ from magyc_gtsam.recording.applied import CALIBRATED
 
 Array = NDArray[np.float64]
 
+_REGULAR = 3  # median steps in lines; between the samples of sensors of different rates there are no more
 _HIGHEST_RATE = 1e6  # Hz
 OPTIONS = ("time", "time_unit", "rate", "columns")
 _SENSORS = ("magnetic_field", "angular_rate", "acceleration", "attitude")
@@ -69,9 +70,9 @@ def read(path: Path, request: Request) -> Recording:
         value: Array = numbers.together(columns, last=not any({*columns} & {*other} for other in places.values()))
         if sensor != "attitude":
             value *= _scale(sensor, group, request, notes)
-        sensors[sensor] = _present(Stream(group.label, stamp, value))
+        sensors[sensor] = _present(Stream(group.label, stamp, value), notes)
     channels = {
-        c.written: _present(Stream(c.written, stamp, numbers.column(wanted.index(c.index)))) for c in extra
+        c.written: _present(Stream(c.written, stamp, numbers.column(wanted.index(c.index))), []) for c in extra
     }
     if "angular_rate" not in sensors:
         notes.append("no gyroscope: no columns have a name like one")
@@ -212,11 +213,19 @@ def _scale(sensor: str, group: SensorColumns, request: Request, notes: list[str]
     return scale
 
 
-def _present(stream: Stream) -> Stream:
-    """Drop the lines in which all cells of the sensor are empty, as where sensors of different rates share a table."""
+def _present(stream: Stream, notes: list[str]) -> Stream:
+    """Drop the lines in which all cells of the sensor are empty, as where sensors of different rates share a table.
+
+    Samples that are missing, other than the lines of the other sensors between two samples, are noted.
+    """
     absent = np.isnan(stream.value)
     if not absent.any():
         return stream
     empty = np.asarray(absent.reshape(len(stream.stamp), -1).all(axis=1))
     # A sensor that is absent throughout is refused by the checks of `assemble`.
-    return stream.rows(~empty) if empty.any() and not empty.all() else stream
+    if not empty.any() or empty.all():
+        return stream
+    steps = np.diff(np.flatnonzero(~empty))
+    if len(steps) and steps.max() > _REGULAR * np.median(steps):
+        notes.append(f"{stream.name}: {empty.sum()} of {len(empty)} lines have no value")
+    return stream.rows(~empty)
