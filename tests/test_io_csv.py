@@ -185,8 +185,64 @@ def test_broken_lines(tmp_path: Path) -> None:
 
 
 def test_rate_beside_stamps(tmp_path: Path) -> None:
-    with pytest.raises(MagycError, match="has time stamps in column t; leave the rate out"):
-        read(write(tmp_path / "a.csv", "t,mx,my,mz", TIME, FIELD), rate=100)
+    path = write(tmp_path / "a.csv", "t,mx,my,mz", np.floor(TIME), FIELD)
+    with pytest.raises(MagycError, match=r"a\.csv: m: 49 stamps occur twice .*; give the rate in Hz in place"):
+        read(path)
+    spaced = read(path, rate=100)
+    np.testing.assert_allclose(spaced.time, TIME)
+    assert not spaced.channels
+    assert "the stamps in t were not used: the rate is 100 Hz" in spaced.notes
+    with pytest.raises(MagycError, match=r"rate: the column t of time stamps \(time=\) was named, too"):
+        read(path, rate=100, time="t")
+
+
+@pytest.mark.parametrize("stamp", ["01.09.2025 08:00:{:06.3f}", "08:00:{:06.3f}", "9/12/2025 11:55:{:06.3f}"])
+def test_stamps_in_another_form_than_iso(tmp_path: Path, stamp: str) -> None:
+    lines = [f"{stamp.format(t)},{x},{y},{z}" for t, (x, y, z) in zip(TIME, FIELD.tolist(), strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time,mx,my,mz", *lines]) + "\n")
+    with pytest.raises(MagycError, match=r"in line 2 and the others, .* ISO 8601 .* Hz in their place \(rate=\)"):
+        read(path)
+    np.testing.assert_array_equal(read(path, rate=100).magnetic_field, FIELD)
+
+
+def test_the_unit_of_stamps_is_that_of_their_steps(tmp_path: Path) -> None:
+    for name, scale, unit in (("nanoseconds", 1e9, "ns"), ("milliseconds", 1e3, "ms")):
+        path = write(
+            tmp_path / f"{name}.csv", "time,mx,my,mz", np.round(TIME * 100 * scale), FIELD
+        )  # steps of 1 s
+        with pytest.raises(MagycError, match=f"likely unit: {unit}; name it"):
+            read(path)
+        assert read(path, time_unit=unit).duration == pytest.approx(100 * TIME[-1])
+    path = write(tmp_path / "labelled.csv", "time (s),mx,my,mz", TIME * 1e4, FIELD)
+    with pytest.raises(
+        MagycError, match=r"is read in s and has a median step of 100 s; likely unit: ms; name it \(ti"
+    ):
+        read(path)
+    assert read(path, time_unit="ms").duration == pytest.approx(10 * TIME[-1])
+
+
+def test_messages_name_the_file_the_header_and_what_counts_need(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "time,mx,my,mz", TIME, np.rint(FIELD * 1e7))
+    with pytest.raises(MagycError, match=r"a\.csv: magnetic_field: .* or raw counts; .* give the tesla per count"):
+        read(path)
+    table = write(tmp_path / "b.csv", "time,mx,my,mz,", TIME, FIELD, tail="").read_text().replace("\n", ",\n")
+    path.write_text(table.replace("mz,,", "mz,"))
+    assert not read(path).channels
+    assert not any("not finite" in note for note in read(path).notes)
+    assert "channel" not in {use for source in info(path).sources for use in source.serves_as}
+    for title in ("Vessel: Aurora\nDate: today\n\n", "Log of the boat\nDate: today\n", "Log\n"):
+        path.write_text(title + write(tmp_path / "c.csv", "time,mx,my,mz", TIME, FIELD).read_text())
+        with pytest.raises(
+            MagycError, match="looks like the header: remove the lines above it, or begin them with #"
+        ):
+            read(path)
+    tabs = write(tmp_path / "c.txt", "time\tmx\tmy\tmz", TIME, FIELD, separator="\t").read_text().replace(".", ",")
+    path.write_text(tabs)
+    np.testing.assert_array_equal(read(path).magnetic_field, FIELD)
+    two = write(tmp_path / "d.csv", "time,mx,my,mz,gx,gz", TIME, FIELD, RATE[:, :2])
+    with pytest.raises(MagycError, match=r"columns time, .*, gx, gz; name its three columns \(angular_rate='"):
+        _ = read(two).gyroscope
 
 
 def test_what_is_no_log(tmp_path: Path) -> None:
@@ -308,7 +364,7 @@ def test_pieces_are_as_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     wrong = tmp_path / "b.csv"
     wrong.write_text("\n".join(text))
     for size in (1, 7, 64, 1000):
-        monkeypatch.setattr("magyc_gtsam.io.csv_table._PIECE", size)
+        monkeypatch.setattr("magyc_gtsam.io.csv_lines._PIECE", size)
         part = read(path)
         np.testing.assert_array_equal(part.time, whole.time)
         np.testing.assert_array_equal(part.magnetic_field, whole.magnetic_field)

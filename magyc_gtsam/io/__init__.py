@@ -114,7 +114,13 @@ def read(
     )
     file = expect_path("read", path)
     axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
-    recording: Recording = _reader(file).read(file, request)
+    reader = _reader(file)
+    try:
+        recording: Recording = reader.read(file, request)
+    except MagycError as error:
+        if str(file) in str(error):
+            raise
+        raise MagycError(f"{file}: {error}") from None
     return recording if axes is None else in_magnetometer_axes(recording, axes)
 
 
@@ -138,7 +144,7 @@ def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[Log
     try:
         recording = read(path, **arguments)
     except MagycError as error:
-        return replace(described, problem=str(error)), None
+        return replace(described, problem=str(error).removeprefix(f"{file}: ")), None
     notes = tuple(n for n in recording.notes if n not in described.warnings)
     path_length = None if recording.angular_rate is None else turned(*recording.gyroscope)
     # Messages of an IMU have a place for each of these, and say in themselves whether they hold one.

@@ -93,6 +93,11 @@ def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:
     return tuple(columns)
 
 
+def time_columns(columns: Sequence[Column]) -> list[Column]:
+    """Return the columns with the name of time stamps."""
+    return [c for c in columns if _TIME.match(c.name) or re.match(r"^time(?:us|ms)$", c.name)]
+
+
 def find_time(columns: Sequence[Column], named: str | None) -> Column | None:
     """Return the column of time stamps: the one with the name `named`, else the only candidate; None without any.
 
@@ -101,7 +106,7 @@ def find_time(columns: Sequence[Column], named: str | None) -> Column | None:
     """
     if named is not None:
         return _named(columns, named)
-    candidates = [c for c in columns if _TIME.match(c.name) or re.match(r"^time(?:us|ms)$", c.name)]
+    candidates = time_columns(columns)
     if len(candidates) > 1:
         raise MagycError(f"time: columns {_listed(candidates)} could be meant; name one (time=)")
     return candidates[0] if candidates else None

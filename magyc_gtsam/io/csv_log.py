@@ -18,9 +18,10 @@ from magyc_gtsam.io.csv_columns import (
     find_time,
     parse_header,
     sensor_sets,
+    time_columns,
 )
 from magyc_gtsam.io.csv_stamps import StampColumn
-from magyc_gtsam.io.csv_table import Stamps, Table, is_number, load
+from magyc_gtsam.io.csv_table import Stamps, Table, header_hint, is_number, load
 from magyc_gtsam.io.growing import GrowingColumns
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
@@ -28,12 +29,14 @@ from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.io.units import factor
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.applied import CALIBRATED
+from magyc_gtsam.recording.checks import NO_GYROSCOPE
 
 Array = NDArray[np.float64]
 
 _REGULAR = 3  # median steps in lines; between the samples of sensors of different rates there are no more
 _HIGHEST_RATE = 1e6  # Hz
 OPTIONS = ("time", "time_unit", "rate", "columns")
+_COARSE = "give the rate in Hz in place of the stamps (rate=), or name another column of time stamps (time=)"
 _SENSORS = ("magnetic_field", "angular_rate", "acceleration", "attitude")
 # Likely names by the number of columns, proposed for a file without a header.
 _USUAL_NAMES = {3: "mx,my,mz", 4: "time,mx,my,mz", 6: "mx,my,mz,gx,gy,gz"}
@@ -54,10 +57,10 @@ def read(path: Path, request: Request) -> Recording:
     table = load(path, request.options.get("columns"))
     notes: list[str] = []
     groups = _sensor_columns(table, request, notes)
-    time = find_time(table.columns, request.options.get("time"))
+    time, unused = _time(table, request, notes)
     _require(table, groups.get("magnetic_field"), time, request)
     used = {c.index for group in groups.values() for c in group.columns}
-    extra = _channel_columns(table, used | ({time.index} if time else set()), request, notes)
+    extra = _channel_columns(table, used | unused | ({time.index} if time else set()), request, notes)
     wanted = sorted(used | {c.index for c in extra})
     numbers, stamp, table_notes = _read(table, wanted, time, request)
     notes[:0] = table_notes
@@ -75,13 +78,15 @@ def read(path: Path, request: Request) -> Recording:
         c.written: _present(Stream(c.written, stamp, numbers.column(wanted.index(c.index))), []) for c in extra
     }
     if "angular_rate" not in sensors:
-        notes.append("no gyroscope: no columns have a name like one")
+        names = listed([c.written for c in table.columns])
+        notes.append(f"{NO_GYROSCOPE} among the columns {names}; name its three columns (angular_rate='x,y,z')")
     recording = assemble(
         sensors,
         {k: s for k, s in channels.items() if len(s.stamp)},
         request,
         name=path.stem,
         notes=tuple(notes),
+        repeated=_COARSE,
     )
     request.report(1.0)
     return recording
@@ -142,7 +147,7 @@ def info(path: Path) -> LogInfo:
     columns = table.columns or parse_header([f"column {i + 1}" for i in range(table.width)])
     sources: dict[str, Source] = {}
     for c in columns:
-        if time is None or c.index != time.index:
+        if c.written and (time is None or c.index != time.index):
             sensor, group = sensors.get(c.index, ("channel", None))
             name = c.written if group is None else group.label
             sources.setdefault(f"{sensor} {name}", Source(name, c.unit or "", count, span, (sensor,)))
@@ -151,11 +156,22 @@ def info(path: Path) -> LogInfo:
     )
 
 
+def _time(table: Table, request: Request, notes: list[str]) -> tuple[Column | None, set[int]]:
+    """Return the column of time stamps, None without one, and the places of those that a rate stands for."""
+    rate, named = request.options.get("rate"), request.options.get("time")
+    if rate is None:
+        return find_time(table.columns, named), set()
+    if named is not None:
+        raise MagycError(f"rate: the column {named} of time stamps (time=) was named, too; leave one of them out")
+    unused = time_columns(table.columns)
+    if unused:
+        notes.append(f"the stamps in {listed([c.written for c in unused])} were not used: the rate is {rate:g} Hz")
+    return None, {c.index for c in unused}
+
+
 def _require(table: Table, magnetometer: SensorColumns | None, time: Column | None, request: Request) -> None:
     """Raise a MagycError unless the table has a magnetometer and either time stamps or a rate."""
     rate = request.options.get("rate")
-    if time is not None and rate is not None:
-        raise MagycError(f"rate: {table.path} has time stamps in column {time.written}; leave the rate out")
     if not table.columns:
         names = _USUAL_NAMES.get(table.width, "time,mx,my,mz,gx,gy,gz")
         clock = "" if rate is not None else ", and give the rate in Hz (rate=) if none of them is a time"
@@ -168,7 +184,7 @@ def _require(table: Table, magnetometer: SensorColumns | None, time: Column | No
         clock = ", and the column of time stamps (time=) or the rate in Hz (rate=)" if unclocked else ""
         raise MagycError(
             f"{table.path}: no magnetometer among the columns {listed([c.written for c in table.columns])}; name its "
-            f"three columns (magnetic_field='x,y,z'){clock}"
+            f"three columns (magnetic_field='x,y,z'){clock}{header_hint(table.path)}"
         )
     if unclocked:
         raise MagycError(
@@ -191,8 +207,11 @@ def _read(
 
 
 def _channel_columns(table: Table, used: set[int], request: Request, notes: list[str]) -> list[Column]:
-    """Return the columns of channels: those that the caller named, else all that are not `used` and hold numbers."""
-    free = [c for c in table.columns if c.index not in used]
+    """Return the columns of channels: those that the caller named, else all that are not `used` and hold numbers.
+
+    A column without a name, as of a comma at the end of each line, is none.
+    """
+    free = [c for c in table.columns if c.index not in used and c.written]
     if request.channels is not None:
         missing = [w for w in request.channels if w not in {c.written for c in free}]
         if missing:

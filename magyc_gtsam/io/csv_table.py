@@ -8,35 +8,24 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import repeat
+from itertools import islice, repeat
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.io.csv_columns import Column, parse_header
+from magyc_gtsam.io.csv_columns import Column, parse_header, sensor_sets
+from magyc_gtsam.io.csv_lines import DataLines, lines_of, pieces_of
 from magyc_gtsam.io.growing import GrowingColumns
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", None: "blanks"}
-_PIECE = 1 << 20  # bytes read at once
-_HEAD = 1 << 14  # bytes read at once to find the header
-_LONGEST = 1 << 20  # characters of a line
-_LONGEST_BYTES = 1 << 25  # of a line, before it is decoded
+_LATEST_HEADER = 100  # line, and columns, in which a header is searched for a message
 _SHOWN = 80  # characters of a cell in a message
-
-
-class DataLines(NamedTuple):
-    """Lines of data, and the number of each in the file, from 1."""
-
-    numbers: Sequence[int]
-    text: list[str]
-    quoted: bool  # whether a cell may be in quotation marks
 
 
 # Converts the cells of the time column and the numbers of their lines to stamps (ns).
@@ -93,7 +82,7 @@ class Table:
             lines = self._whole(lines, last, count, notes)
             if not lines.text:
                 continue
-            if self.separator == ";" and any("," in line for line in lines.text):
+            if self.separator != "," and any("," in line for line in lines.text):
                 lines = lines._replace(text=[line.replace(",", ".") for line in lines.text])
                 note = "commas in the numbers were read as decimal points"
                 notes += [note] if note not in notes else []
@@ -106,7 +95,7 @@ class Table:
 
     def _data(self) -> Iterator[tuple[DataLines, bool, int]]:
         """Yield lines of data, whether they are the last, and the number of bytes read."""
-        pieces = _pieces(self.path)
+        pieces = pieces_of(self.path)
         piece = next(pieces, None)
         while piece is not None:
             following = next(pieces, None)
@@ -133,7 +122,7 @@ class Table:
             row = next(k for k, n in enumerate(counts) if n != self.width)
             raise MagycError(
                 f"{self.path}, line {lines.numbers[row]}: {counts[row]} values, expected {self.width}; "
-                "repair or remove the line"
+                f"repair or remove the line{header_hint(self.path)}"
             )
         return lines
 
@@ -179,7 +168,7 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
     head: list[tuple[int, str]] = []
     comment = ""
     lines = 0
-    for number, line in _lines(path):
+    for number, line in lines_of(path):
         lines = number
         if line.lstrip().startswith("#"):
             comment = line.lstrip().lstrip("#").strip() if not head else comment
@@ -205,66 +194,28 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
     first = _split(head[0][1], separator)
     if columns and len(first) != len(columns):
         remedy = "repair or remove the line" if names is None else "name every column of the table (columns=)"
-        raise MagycError(f"{path}, line {head[0][0]}: {len(first)} values, expected {len(columns)}; {remedy}")
+        raise MagycError(
+            f"{path}, line {head[0][0]}: {len(first)} values, expected {len(columns)}; {remedy}{header_hint(path)}"
+        )
     return Table(path, separator, columns, len(first), first, header_line)
 
 
-def _text(data: bytes, path: Path, number: int) -> list[str]:
-    """Decode bytes, UTF-8 or else Latin-1, into lines; `number` lines precede them in the file."""
+def header_hint(path: Path) -> str:
+    """Return the line that looks like the header of a table whose first line is none, as text; "" without one."""
+    for number, line in islice(lines_of(path), _LATEST_HEADER):
+        for separator in filter(None, _SEPARATORS):
+            cells = line.split(separator)
+            if number > 1 and 4 <= len(cells) <= _LATEST_HEADER and _has_field(cells):
+                return f"; line {number} looks like the header: remove the lines above it, or begin them with #"
+    return ""
+
+
+def _has_field(names: Sequence[str]) -> bool:
+    """Return whether names of columns include those of a magnetometer."""
     try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    lines = text.splitlines()
-    if max(map(len, lines), default=0) > _LONGEST:
-        raise MagycError(
-            f"{path}: a line after line {number} is longer than {_LONGEST} characters; not a text table"
-        )
-    return lines
-
-
-def _raw(path: Path, size: int) -> Iterator[tuple[bytes, int]]:
-    """Yield the file in pieces of complete lines, and the number of bytes read."""
-    incomplete = b""  # the start of a line whose end is in the next piece
-    place = 0
-    with open(path, "rb") as file:
-        while data := file.read(size):
-            if place == 0:
-                data = data.removeprefix(b"\xef\xbb\xbf")
-            place = file.tell()
-            end = data.rfind(b"\n") + 1
-            if not end:
-                incomplete += data
-                if len(incomplete) > _LONGEST_BYTES:
-                    raise MagycError(f"{path}: a line is longer than {_LONGEST_BYTES} bytes; not a text table")
-                continue
-            yield incomplete + data[:end], place
-            incomplete = data[end:]
-    if incomplete:
-        yield incomplete, place
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield all lines with their numbers, from 1."""
-    number = 0
-    for data, _ in _raw(path, _HEAD):
-        for line in _text(data, path, number):
-            number += 1
-            yield number, line
-
-
-def _pieces(path: Path) -> Iterator[tuple[DataLines, int]]:
-    """Yield the lines that are neither empty nor comments, in pieces, and the number of bytes read."""
-    number = 0
-    for data, place in _raw(path, _PIECE):
-        text = _text(data, path, number)
-        numbers: Sequence[int] = range(number + 1, number + len(text) + 1)
-        number += len(text)
-        if b"#" in data or not all(map(str.strip, text)):
-            kept = [k for k, line in enumerate(text) if line.strip() and not line.lstrip().startswith("#")]
-            text, numbers = [text[k] for k in kept], [numbers[k] for k in kept]
-        if text:
-            yield DataLines(numbers, text, b'"' in data), place
+        return bool(sensor_sets(parse_header(names), "magnetic_field"))
+    except MagycError:  # two columns have one name
+        return False
 
 
 def _separator(lines: Sequence[str]) -> str | None:

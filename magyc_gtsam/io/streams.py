@@ -25,6 +25,10 @@ _ABSENT = 0.05  # share of finite numbers below which an axis is absent; two alt
 _MOST_INVALID = 0.5  # largest share of samples that can be left out as invalid
 _LONGEST_PAUSE = 30 * 86400 * _SECOND  # a longer one is a clock without a battery, set to the date while recording
 _YEAR_2000 = 946_684_800 * _SECOND  # earlier stamps count from boot, not from 1970
+_REPEATED = (
+    "use the times of recording if the format has them (stamps='log'), or name one source if two publish on "
+    "one topic"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +59,7 @@ def assemble(
     notes: tuple[str, ...] = (),
     angular_rate_is: Literal["instant", "interval-mean"] = "instant",
     attitude_is: Literal["independent", "estimate"] = "independent",
+    repeated: str = _REPEATED,
 ) -> Recording:
     """Combine streams into one `Recording`; time 0 is the first row of the log.
 
@@ -63,6 +68,7 @@ def assemble(
         channels: further streams by name; an unusable one is left out with a note.
         request: for the interval, and for the sensors and units that the caller named.
         name, notes, angular_rate_is, attitude_is: of the recording.
+        repeated: the remedy if stamps occur twice with different values.
 
     Raises:
         MagycError: an axis is absent, a clock was set, one stamp has two values, or the streams do not make a valid
@@ -87,14 +93,14 @@ def assemble(
     for sensor, stream in sensors.items():
         try:
             if sensor not in few:
-                clean[sensor] = _clean(stream, sensor, remarks, in_tesla=not counts)
+                clean[sensor] = _clean(stream, sensor, remarks, repeated, in_tesla=not counts)
         except MagycError as error:
             if sensor in ("magnetic_field", "angular_rate") or request.sensors.get(sensor):
                 raise
             remarks.append(f"{sensor} left out: {error}")
     for channel, stream in channels.items():
         try:
-            usable[channel] = _clean(stream, channel, remarks)
+            usable[channel] = _clean(stream, channel, remarks, repeated)
         except MagycError as error:
             remarks.append(f"channel left out: {error}")
     zero = max(int(clean[k].stamp[0]) for k in ("magnetic_field", "angular_rate") if k in clean)
@@ -127,7 +133,7 @@ def assemble(
     return recording if start is None and end is None else recording.between(start, end)
 
 
-def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -> Stream:
+def _clean(stream: Stream, role: str, notes: list[str], repeated: str, in_tesla: bool = True) -> Stream:
     """Return the stream finite, ascending and without duplicates, and note what was changed."""
     stream = _finite(stream, role, notes)
     if role == "magnetic_field":
@@ -154,7 +160,7 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
     if late:
         stream = stream.rows(np.argsort(stream.stamp, kind="stable"))
         notes.append(f"{stream.name}: {late} samples were out of order and were sorted by their stamps")
-    return _without_repeats(stream, notes)
+    return _without_repeats(stream, notes, repeated)
 
 
 def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
@@ -192,8 +198,8 @@ def _measured(stream: Stream, in_tesla: bool, notes: list[str]) -> Stream:
     return stream.rows(~(zero | beyond)) if zero.any() or beyond.any() else stream
 
 
-def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
-    """Drop samples that were recorded twice."""
+def _without_repeats(stream: Stream, notes: list[str], remedy: str) -> Stream:
+    """Drop samples that were recorded twice; a MagycError with the remedy if stamps have two values."""
     repeated = np.flatnonzero(np.diff(stream.stamp) == 0)
     if not len(repeated):
         return stream
@@ -206,8 +212,7 @@ def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
         )
         raise MagycError(
             f"{stream.name}: {len(different)} stamps occur twice with different values{constant}, "
-            f"the first at {stream.stamp[row] / 1e9:.9f} s; use the times of recording if the format has "
-            "them (stamps='log'), or name one source if two publish on one topic"
+            f"the first at {stream.stamp[row] / 1e9:.9f} s; {remedy}"
         )
     keep = np.ones(len(stream.stamp), dtype=bool)
     keep[repeated + 1] = False

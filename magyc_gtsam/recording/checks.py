@@ -16,6 +16,7 @@ Mask = NDArray[np.bool_]
 
 EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
 _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
+NO_GYROSCOPE = "no gyroscope"  # begins the note of a reader that found none, and where it looked
 FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
 _FEW = 0.01  # share of the rows that may be damaged; more are of another unit
@@ -162,10 +163,14 @@ def check_field_unit(magnetic_field: Array) -> None:
     unit = min(_FIELD_UNITS, key=lambda u: abs(np.log(max(norm, 1e-300) * _FIELD_UNITS[u]) - centre))
     guess = norm * _FIELD_UNITS[unit]
     likely = f"; likely unit: {unit}" if 0.2 * EARTH_FIELD[0] <= guess <= 10 * EARTH_FIELD[1] else ""
+    counts = ""
+    if norm > high and (magnetic_field == np.rint(magnetic_field)).all():
+        likely += ", or raw counts" if likely else "; likely raw counts"
+        counts = "; of raw counts give the tesla per count, or 'counts' to compare methods only"
     raise MagycError(
         f"magnetic_field: median norm {norm:.4g} is not a field in tesla "
         f"(the Earth's is 20e-6 to 70e-6, {low:g} to {high:g} is accepted){likely}; "
-        "convert it, or read it in its unit (magnetic_unit=)"
+        f"convert it, or read it in its unit (magnetic_unit=){counts}"
     )
 
 

@@ -18,6 +18,7 @@ from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import LONGEST, printable
 from magyc_gtsam.recording.checks import (
+    NO_GYROSCOPE,
     Array,
     Mask,
     check_ascending,
@@ -152,9 +153,11 @@ class Recording:
             MagycError: the recording has no gyroscope.
         """
         if self.angular_rate is None:
+            remark = next((note for note in self.notes if note.startswith(NO_GYROSCOPE)), "")
             raise MagycError(
                 f"recording {self.name!r} has no angular rate, which this method needs; "
-                "name the gyroscope's topic or columns, or choose a magnetometer-only method"
+                + (remark or "name the gyroscope's topic or columns (angular_rate=)")
+                + ", or choose a magnetometer-only method (method='autocal')"
             )
         return self._samples(self.angular_rate, self.angular_rate_fresh)
 

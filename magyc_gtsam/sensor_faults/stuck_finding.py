@@ -9,6 +9,7 @@ from magyc_gtsam.sensor_faults.stuck import Stretch
 
 MOST = 0.5  # share of the recording above which no calibration is attempted
 SMALL = 0.005  # share up to which no method is harmed
+_ALL = 0.95  # share above which no interval without it is long enough
 _NAMES = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}
 
 
@@ -50,9 +51,10 @@ class Stuck:
         spare = ""
         if self.sensor == "angular_rate":
             spare = "; methods that need the magnetometer alone (method='autocal') do without it"
+        interval = "" if self.share > _ALL else " choose an interval without it (start=, end=),"
         return (
-            f"{self.where} (at most {MOST:.0%} can be left out): name another source ({self.sensor}=), choose an "
-            f"interval without it (start=, end=), or have the sensor repaired{spare}"
+            f"{self.where} (at most {MOST:.0%} can be left out): name another source ({self.sensor}=),{interval} "
+            f"or have the sensor repaired{spare}"
         )
 
 
