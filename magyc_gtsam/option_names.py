@@ -42,6 +42,8 @@ _PREFIX = (
 _VALUE = r"""'[^']*'|[^\s,;:)('"][^\s,;)"]*|"""  # in quotes, a number or word, or nothing
 # A name that is not part of a path or of an option.
 _ARGUMENT = re.compile(rf"(?<![-\w./])(?<!--read )(?<!--option )({'|'.join(_PREFIX)})=({_VALUE})")
+# Names that nothing but an argument has, also without "="; in quotation marks they are keys of JSON.
+_BARE = re.compile(r"(?<![-\w./\"'=])(hard_iron_walk|soft_iron_walk)(?![\w=\"'])")
 _RADIANS = re.compile(r"np\.radians\(([^()]*)\)")
 _COMMANDS = {"`mg.find_gap`": "`magyc-gtsam gap`", "`mg.calibrate`": "`magyc-gtsam calibrate`"}
 
@@ -49,6 +51,7 @@ _COMMANDS = {"`mg.find_gap`": "`magyc-gtsam gap`", "`mg.calibrate`": "`magyc-gts
 def as_options(message: str) -> str:
     """Return a message of the library with its arguments and functions as those of the command line."""
     text = _ARGUMENT.sub(_option, _RADIANS.sub(r"\1", message))
+    text = _BARE.sub(lambda match: _PREFIX[match[1]], text)
     for function, command in _COMMANDS.items():
         text = text.replace(function, command)
     return text

@@ -291,6 +291,7 @@ def test_what_must_not_be_trusted_cannot_be_pasted(logs: Path, tmp_path: Path) -
     for name in FILES - UNTRUSTED:
         lines = (tmp_path / "forced" / name).read_text(encoding="utf-8").splitlines()
         assert lines[0].startswith("# DO NOT USE: "), name
+        assert not re.search(r"\w=[,:)]", lines[0]), name
         assert len(lines) > 5, name
         assert all(line.startswith("#") for line in lines), name
 
@@ -339,6 +340,21 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
             "calibrate {logs}/dive.mcap --delay soon",
             "--delay: must be a number of milliseconds or 'auto', got 'soon'",
         ),
+        ("calibrate {logs}/dive.mcap --delay 4994", "--delay: must be between -1000 and 1000 ms, got 4994"),
+        (
+            "calibrate {logs}/dive.mcap --noise 1e-6 0.005",
+            "--noise: the magnetometer's must be at least 1e-05 µT, got 1e-06; if it is in SI units, give 1 µT",
+        ),
+        (
+            "calibrate {logs}/dive.mcap --location 47 -o out",
+            "'--location': needs 2 values (LAT LON), and '-o' comes",
+        ),
+        ("calibrate {logs}/dive.mcap --end 5", "dive.mcap: 4 windows of 1.5 s, at least 8 are needed"),
+        ("calibrate {logs}/dive.mcap --end 5", "; 5.0 s of the log are used"),
+        ("calibrate {logs}/dive.mcap --output=", "'--output' / '-o': must be a path, got ''"),
+        ("apply none.yaml {logs}/dive.mcap --output=", "'--output' / '-o': must be a path, got ''"),
+        ("export none.yaml px4 --output=", "'--output' / '-o': must be a path, got ''"),
+        ("export none.yaml px4 -o {logs}", "none.yaml: no such file"),
         ("calibrate {logs}/dive.mcap --noise nan 1", "--noise: both values must be more than 0"),
         ("calibrate --config {logs}/none.yaml", "--config: "),
         ("calibrate --config {logs}/text.csv", "name a configuration.yaml"),

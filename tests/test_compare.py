@@ -151,6 +151,9 @@ def test_a_method_that_fails_stops_nobody(dive: mg.Simulation, two_more: None) -
     assert outcome(result, "doubt").reason == "no luck"
     assert ("smoother", 1.0) in seen
     assert "crash failed: ZeroDivisionError: a defect of the method" in compare_words.remarks(result)
+    wrong = "the axes disagree: " + "as given " * 20 + "; bring both to one frame (gyroscope_axes='y,x,-z')"
+    result = replace(result, outcomes=(replace(outcome(result, "crash"), reason=wrong),))
+    assert f"crash failed: {wrong}" in compare_words.remarks(result)  # whole, as the remedy comes last
 
 
 def test_interrupting_stops_all(dive: mg.Simulation, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,6 +51,7 @@ def test_a_stuck_axis_is_refused_by_name(wide: Simulation, sensor: str, name: st
     assert message.startswith(f"{sensor}: axis {'xyz'[axis]} of the {name} is stuck at ")
     assert "from 0.0 to 599.9 s, 100% of the recording, while its other axes show noise" in message
     assert f"name another source ({sensor}=)" in message
+    assert "choose an interval" not in message  # none is without it
 
 
 def test_two_axes_and_a_column_of_zeros(wide: Simulation) -> None:

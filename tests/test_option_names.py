@@ -49,6 +49,11 @@ def test_no_message_of_the_library_names_an_option() -> None:
         ("have them corrected (clock_drift=7.9e-06)", "have them corrected (--option clock_drift=7.9e-06)"),
         ("say that they are (misalignment=np.radians(3))", "say that they are (--misalignment 3)"),
         ("or with (prior=, field=: hard iron)", "or with (--prior, --location, --date: hard iron)"),
+        (
+            "allow for a change (hard_iron_walk and soft_iron_walk)",
+            "allow for a change (--hard-iron-walk and --soft-iron-walk)",
+        ),
+        ('{"hard_iron_walk": 1e-6}', '{"hard_iron_walk": 1e-6}'),
         ("run `mg.find_gap`", "run `magyc-gtsam gap`"),
         ("see the values (force=True)", "see the values (--force)"),
         ("/logs/rate=5.csv: --start=3 --read rate=5", "/logs/rate=5.csv: --start=3 --read rate=5"),

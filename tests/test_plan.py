@@ -77,4 +77,7 @@ def test_the_command(capsys, monkeypatch):
     assert "must be between 0 and 90" in capsys.readouterr().err
     assert cli.main(["calibrate", "--plan", "1", "log.mcap"]) == 2
     assert "needs no LOG and writes no files" in capsys.readouterr().err
+    for option, value in (("--delay", "3"), ("--field-strength", "48"), ("--window", "2")):
+        assert cli.main(["calibrate", "--plan", "1", option, value]) == 2
+        assert f"{option}: has no effect on a plan" in capsys.readouterr().err
     assert cli.main(["calibrate"]) == 2  # LOG is needed again

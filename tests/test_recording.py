@@ -11,6 +11,9 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import MagycError, Recording
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.report.verdict import judged
+from magyc_gtsam.simulation import simulate
 
 COMPONENT = st.floats(-60e-6, 60e-6)
 RATE = st.floats(-30, 30)
@@ -199,6 +202,16 @@ def test_streams_keep_every_stamp_and_bit(mag_time, gyro_time, seed):
     left_out = int(sum((~inside).sum() for inside in both))
     note = f"{left_out} samples outside the time that both sensors cover were left out"
     assert recording.notes == ((note,) if left_out else ())
+
+
+@pytest.mark.parametrize(("offset", "noted"), [(0.0, False), (1.5, False), (-40.0, True), (60.0, True)])
+def test_stamps_of_two_clocks_are_named(offset, noted):
+    time = np.arange(600) * 0.2
+    recording = Recording.from_streams((time + offset, field(600, 1)), (time, rate(600, 2)))
+    said = f"begin and end {abs(offset):.0f} s apart (magnetometer {offset:.1f} to {offset + 119.8:.1f} s, "
+    assert any(said in note for note in recording.notes) == noted
+    inside = Recording.from_streams((time[100:200], field(100, 1)), (time, rate(600, 2)))
+    assert not any("apart" in note for note in inside.notes)
 
 
 def two_streams(**more):
@@ -404,3 +417,13 @@ def test_arrays_that_are_given_stay_the_callers() -> None:
     assert (made.magnetic_field != 0).any()
     with pytest.raises(ValueError, match="read-only"):
         made.magnetic_field[0] = 0.0
+
+
+def test_stamps_of_two_clocks_are_the_cause_of_an_untrusted_result():
+    dive = simulate("wide", 120).recording
+    shifted = Recording.from_streams((dive.time + 40, dive.magnetic_field), (dive.time, dive.angular_rate))
+    untrusted = Calibration(np.eye(3), np.zeros(3), converged=False, message="too little motion: turn")
+    verdict = judged(untrusted, shifted)
+    assert verdict.cause == "the stamps of the two sensors begin and end 40 s apart"
+    assert verdict.action == "if their clocks differ, use the times of recording (stamps='log')"
+    assert judged(untrusted, dive).cause == "too little motion"

@@ -25,7 +25,15 @@ def run(
     calibration_file: given.CalibrationFile,
     reading: Reading,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="OUT.mcap or OUT.csv.", show_default=False)
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            parser=given.named_path,
+            metavar="FILE",
+            help="OUT.mcap or OUT.csv.",
+            show_default=False,
+        ),
     ],
     force: Annotated[bool, typer.Option("--force", help="Also apply an untrusted calibration.")] = False,
     quiet: given.Quiet = False,

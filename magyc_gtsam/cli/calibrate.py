@@ -32,6 +32,13 @@ if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.report.verdict import Verdict
 
+_LEAST_NOISE = 1e-5  # µT and mrad/s per sample, a tenth of what the best sensors have; less was given in SI units
+_LONGEST_DELAY = 1000.0  # ms, that the smoother accepts
+_NOT_PLANNED = (
+    *("field_strength", "location", "altitude", "date", "heading", "heading_sigma", "gyroscope_scale"),
+    *("method", "delay", "robust", "window"),
+)
+
 
 @with_groups
 def run(
@@ -107,6 +114,11 @@ def run(
 
         if reading.log is not None or output is not None:
             raise typer.BadParameter("needs no LOG and writes no files; leave out LOG and -o", param_hint="--plan")
+        for name in _NOT_PLANNED:
+            source = context.get_parameter_source(name)
+            if source is not None and source.name == "COMMANDLINE":
+                option = f"--{name.replace('_', '-')}"
+                raise typer.BadParameter("has no effect on a plan (--plan); leave it out", param_hint=option)
         return show_plan(plan, options, quiet, json)
     folder = output or dated_folder(reading.log)
     task = Task(reading, method, options, unchecked, folder, tuple(context.obj), force)
@@ -171,12 +183,25 @@ def _method_options(
             raise MagycError(
                 f"--noise: both values must be more than 0 and finite, got {noise[0]:g} µT and {noise[1]:g} mrad/s"
             )
+        for sensor, value, unit, factor in (
+            ("magnetometer", noise[0], "µT", 1e6),
+            ("gyroscope", noise[1], "mrad/s", 1e3),
+        ):
+            if value < _LEAST_NOISE:
+                raise MagycError(
+                    f"--noise: the {sensor}'s must be at least {_LEAST_NOISE:g} {unit}, got {value:g}; if it is in SI "
+                    f"units, give {value * factor:g} {unit}"
+                )
         options["noise"] = [noise[0] * 1e-6, noise[1] * 1e-3]
     if delay not in (None, "auto"):
         try:
             options["delay"] = float(str(delay)) * 1e-3
         except ValueError:
             raise MagycError(f"--delay: must be a number of milliseconds or 'auto', got {delay!r}") from None
+        if not abs(options["delay"]) <= _LONGEST_DELAY * 1e-3:
+            raise MagycError(
+                f"--delay: must be between -{_LONGEST_DELAY:g} and {_LONGEST_DELAY:g} ms, got {float(str(delay)):g}"
+            )
     if window is not None and not window > 0:
         raise MagycError(f"--window: must be more than 0 s, got {window:g}")
     given = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", pairs)

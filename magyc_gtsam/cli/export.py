@@ -10,6 +10,7 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing
+from magyc_gtsam.cli.results import exported
 from magyc_gtsam.cli.terminal import concluded, refused
 
 
@@ -20,7 +21,8 @@ def run(
         typer.Argument(metavar="TARGET", help="px4, ardupilot, vectornav or ros.", show_default=False),
     ],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Default: standard output.")
+        Path | None,
+        typer.Option("--output", "-o", parser=given.named_path, metavar="FILE", help="Default: standard output."),
     ] = None,
     per_motor: Annotated[
         bool,
@@ -50,7 +52,7 @@ def run(
     calibration = Calibration.load(calibration_file)
     if not calibration.trusted and (write is not None or not force):
         return refused(calibration)
-    text = calibration.export(target, force=force, per_motor=per_motor)
+    text = exported(calibration, target, force=force, per_motor=per_motor)
     if write is not None:
         return _write(text, target, write)
     if output is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 import threading
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 
 from magyc_gtsam.option_names import as_options
 
+_NOT_A_NUMBER = re.compile(r"('-+[a-zA-Z][^']*') is not a valid ")
 EXIT_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}  # as shells count them
 
 
@@ -75,6 +77,12 @@ def explained(error: Exception, command: str = "") -> str:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else f"magyc-gtsam {command}".rstrip()
         text = usage().replace("Value error, ", "").removesuffix(".")
+        parameter, value = getattr(error, "param", None), _NOT_A_NUMBER.search(text)
+        if parameter is not None and parameter.nargs > 1 and value is not None:  # the next option was taken for it
+            wanted = f"needs {parameter.nargs} values ({parameter.metavar})"
+            text = (
+                f"Invalid value for '{parameter.opts[0]}': {wanted}, and {value[1]} comes before the last of them"
+            )
         return f"{text}{' See' if text.endswith('?') else '; see'} {path} --help"
     from magyc_gtsam.factors.errors import MagycError
 

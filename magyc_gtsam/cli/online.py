@@ -36,7 +36,13 @@ def run(
     method: Annotated[str | None, typer.Option(help="smoother (the default) or magyc-ifg.")] = None,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", help="Where to write the calibration, .yaml or .json."),
+        typer.Option(
+            "--output",
+            "-o",
+            parser=given.named_path,
+            metavar="FILE",
+            help="Where to write the calibration, .yaml or .json.",
+        ),
     ] = Path("online-calibration.yaml"),
     state: Annotated[
         Path | None,

@@ -122,6 +122,15 @@ Log = Annotated[
         show_default=False,
     ),
 ]
+
+
+def named_path(text: str) -> Path:
+    """Return the path of an option; the parser of options that name a result."""
+    if not text:
+        raise typer.BadParameter("must be a path, got ''")
+    return Path(text)
+
+
 More = Annotated[
     list[Path] | None,
     typer.Argument(metavar="[LOG|FOLDER]...", help="More logs, folders or patterns.", show_default=False),
@@ -131,6 +140,7 @@ Output = Annotated[
     typer.Option(
         "--output",
         "-o",
+        parser=named_path,
         metavar="DIR",
         help="Folder of the results. Default: a new one in results/, named by log, command, date and time.",
     ),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.reading import Reading
+from magyc_gtsam.option_names import as_options
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
     from magyc_gtsam.report.verdict import Verdict
 
+_SHORT = 60.0  # s; shorter logs are often too short
 EXPORTS = {
     "px4": "px4.params",
     "ardupilot": "ardupilot.param",
@@ -75,6 +77,16 @@ def write_page(folder: Path, recording: Recording, calibration: Calibration, ver
     write_report(folder / "report.html", recording, calibration, residuals, verdict)
 
 
+def exported(calibration: Calibration, target: str, **options: bool) -> str:
+    """Return parameters as `Calibration.export`, with options of the command line under DO NOT USE.
+
+    Raises:
+        MagycError: see `Calibration.export`.
+    """
+    text: str = calibration.export(target, **options)
+    return text if calibration.trusted else as_options(text)
+
+
 def write_exports(folder: Path, calibration: Calibration, force: bool = False) -> None:
     """Write the parameters for each target, or the reason if the target cannot represent the calibration.
 
@@ -86,7 +98,7 @@ def write_exports(folder: Path, calibration: Calibration, force: bool = False) -
         return
     for target, name in EXPORTS.items():
         try:
-            text = calibration.export(target, force=force)
+            text = exported(calibration, target, force=force)
         except MagycError as error:
             text = f"# {error}\n"
         (folder / name).write_text(text, encoding="utf-8")
@@ -193,12 +205,26 @@ def calibrate_log(
     return recording, calibration, verdict
 
 
+def _on_log(message: str, recording: Recording, task: Task) -> str:
+    """Return why a log was not calibrated with its name, and what about the log may be the cause."""
+    from magyc_gtsam.recording.time_base import CLOCKS_APART
+
+    if message.split(maxsplit=1)[0].rstrip(":") in {*task.options, "method"}:  # about an option
+        return message
+    remarks = [note for note in recording.notes if note.startswith(CLOCKS_APART)]
+    if recording.duration < _SHORT:
+        remarks.insert(0, f"{recording.duration:.1f} s of the log are used")
+    return "; ".join([f"{task.reading.log}: {message}", *remarks])
+
+
 def _calibrate(recording: Recording, task: Task, progress: Progress) -> Calibration:
     """Calibrate; an argument that the method does not accept raises a MagycError."""
     from magyc_gtsam import MagycError, calibrate
 
     try:
         calibration: Calibration = calibrate(recording, task.method, progress=progress, **task.options)
+    except MagycError as error:
+        raise MagycError(_on_log(str(error), recording, task)) from None
     except TypeError as error:
         if task.pairs is None:
             raise

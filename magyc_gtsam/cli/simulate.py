@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing
 from magyc_gtsam.cli.results import write_yaml
 from magyc_gtsam.cli.terminal import show
@@ -26,6 +27,7 @@ def run(
         typer.Option(
             "--output",
             "-o",
+            parser=given.named_path,
             metavar="FILE",
             help="FILE.mcap; the truth is written to FILE.truth.yaml.",
             show_default=False,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.study_options import refuse_unused
 from magyc_gtsam.cli.terminal import show, show_table, stages
 
@@ -147,6 +148,7 @@ def run(
         typer.Option(
             "--output",
             "-o",
+            parser=given.named_path,
             metavar="DIR",
             help="Folder of results, in which an interrupted study continues. Default: results/STUDY (gap: "
             "results/blindtest). Not used by efficiency.",

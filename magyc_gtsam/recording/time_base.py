@@ -24,6 +24,9 @@ from magyc_gtsam.recording.stamps import is_calendar, origin_of, seconds
 
 Stream = tuple[ArrayLike, ArrayLike]
 
+CLOCKS_APART = "the stamps of the two sensors begin and end"  # begins a note
+_APART = 2.0  # s; drivers that start and stop one after the other are less apart
+
 
 def unite(
     magnetic_field: Stream,
@@ -74,6 +77,8 @@ def unite(
         "channels": {},
         "notes": (f"{cut} samples outside the time that both sensors cover were left out",) if cut else (),
     }
+    if "angular_rate" in clean:
+        result["notes"] += _clocks_apart(mag_time, clean["angular_rate"][0])
     for k, v in named_channels(channels).items():
         channel_time, channel = _stream(f"channel {k!r}", v, None, clock)
         if kinds(k):  # before the interpolation, which would spread a placeholder over its neighbours
@@ -112,6 +117,20 @@ def _pair(name: str, stream: Any) -> tuple[ArrayLike, ArrayLike]:
             f"{name}: must be the pair (time, values), got {got}; for sensors of one clock use Recording"
         )
     return stream[0], stream[1]
+
+
+def _clocks_apart(magnetometer: Array, gyroscope: Array) -> tuple[str, ...]:
+    """Return a remark if one sensor begins and ends later than the other, as where the clocks differ; else nothing."""
+    begin, end = float(magnetometer[0] - gyroscope[0]), float(magnetometer[-1] - gyroscope[-1])
+    if begin * end <= 0 or min(abs(begin), abs(end)) <= _APART:
+        return ()
+    sensors = {"magnetometer": magnetometer, "gyroscope": gyroscope}
+    spans = (f"{name} {time[0]:.1f} to {time[-1]:.1f} s" for name, time in sensors.items())
+    both = min(magnetometer[-1], gyroscope[-1]) - max(magnetometer[0], gyroscope[0])
+    return (
+        f"{CLOCKS_APART} {min(abs(begin), abs(end)):.0f} s apart ({', '.join(spans)}, both {both:.1f} s); if their "
+        "clocks differ, use the times of recording (stamps='log')",
+    )
 
 
 def _stream(name: str, stream: Any, width: int | None, clock: _Clock) -> tuple[Array, Array]:

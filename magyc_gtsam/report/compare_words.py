@@ -206,10 +206,12 @@ def gyroscope_rows(comparison: Comparison) -> list[list[str]]:
 def remarks(comparison: Comparison) -> list[str]:
     """Return a sentence with the first reason for each method that is not trusted, and the notes on single methods.
 
+    Of a method that failed it is the whole message, whose remedy comes last.
+
     The page shows all reasons.
     """
     sentences = [
-        f"{o.method} {o.status}: {_first(o.reason)}"
+        f"{o.method} {o.status}: {o.reason if o.status is OutcomeStatus.FAILED else _first(o.reason)}"
         for o in comparison.by_trust
         if o.status is not OutcomeStatus.TRUSTED
     ]

@@ -14,6 +14,7 @@ from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.heading_uncertainty import HeadingUncertainty
 from magyc_gtsam.level_turn import TILT
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.time_base import CLOCKS_APART
 
 _STILL = 5e-6  # T, sweep of the field below which the instrument did not move
 _INTERVAL = "choose an interval without it (start=, end=)"
@@ -136,6 +137,9 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
         if swept is not None:
             size = f"the field changed by {swept * 1e6:.0f} µT, more than turning makes it"
             return f"a magnet came near ({size})", _INTERVAL
+    apart = next((note for note in recording.notes if note.startswith(CLOCKS_APART)), None) if recording else None
+    if apart is not None:
+        return apart.partition(" (")[0], clauses(apart)[1]
     first = next(iter(clauses(calibration.message)), "the method did not converge")
     observability = calibration.observability
     motion = "too little motion" in first or "not observable" in first or calibration.converged
