@@ -144,7 +144,7 @@ def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[Log
     try:
         recording = read(path, **arguments)
     except MagycError as error:
-        return replace(described, problem=str(error).removeprefix(f"{file}: ")), None
+        return replace(described, problem=str(error)), None
     notes = tuple(n for n in recording.notes if n not in described.warnings)
     path_length = None if recording.angular_rate is None else turned(*recording.gyroscope)
     # Messages of an IMU have a place for each of these, and say in themselves whether they hold one.
