@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.cli.files import refuse_unwritable, replacing
-from magyc_gtsam.storage.files import whole_file
+from magyc_gtsam.cli.files import refuse_unwritable, replacing, replacing_folder
+from magyc_gtsam.storage.files import whole_file, write_text
 
 Written = Callable[[Path], AbstractContextManager[Path]]
 BOTH = pytest.mark.parametrize("written", [replacing, whole_file])
@@ -61,6 +61,13 @@ def test_a_failure_names_the_file_and_no_temporary_one(tmp_path: Path) -> None:
         with pytest.raises(OSError, match="No space left") as full, replacing(tmp_path / "a.csv") as part:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), None if name is None else str(part))
         assert full.value.filename == str(tmp_path / "a.csv")
+    for folder in (tmp_path / "new", tmp_path):
+        with pytest.raises(mg.MagycError) as refused, replacing_folder(folder) as part:
+            write_text(part, "")
+        assert str(refused.value).startswith(f"{folder}: cannot be written (it is a folder)")
+        with pytest.raises(FileNotFoundError) as missing, replacing_folder(folder) as part:
+            (part / "absent" / "a.csv").write_text("")
+        assert missing.value.filename == str(folder / "absent" / "a.csv")
     with pytest.raises(FileNotFoundError) as other, replacing(tmp_path / "a.csv"):
         open(tmp_path / "log.csv").close()
     assert other.value.filename == str(tmp_path / "log.csv")

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.storage.files import copied_into, is_stream, link_target
 
 try:
@@ -41,14 +42,9 @@ def replacing(path: Path) -> Iterator[Path]:
     path = link_target(path)
     with _temporary(path.parent) as directory:
         part = directory / path.name
-        try:
+        with _called(part, path):
             yield part
             os.replace(part, path)
-        except OSError as error:
-            # A full disk is reported without a name, other failures with that of the temporary file.
-            if error.filename is None or str(error.filename).startswith(str(directory)):
-                raise OSError(error.errno, error.strerror, str(path)) from None
-            raise
 
 
 @contextmanager
@@ -64,7 +60,8 @@ def replacing_folder(path: Path) -> Iterator[Path]:
     with _temporary(path if path.exists() else path.parent) as directory:
         part = directory / "folder"
         part.mkdir()
-        yield part
+        with _called(part, path):
+            yield part
         with _one_at_a_time(path.parent):  # of two runs into one folder the later one leaves all its files
             with contextlib.suppress(OSError):  # the folder exists: replace its files below
                 os.rename(part, path)
@@ -89,6 +86,21 @@ def refuse_unwritable(file: Path) -> None:
     # The file is unnamed if the system supports it, so that nothing can remain.
     with _named(file.parent), tempfile.TemporaryFile(dir=file.parent):
         pass
+
+
+@contextmanager
+def _called(part: Path, path: Path) -> Iterator[None]:
+    """Raise the failures of the block with the name of a result in place of that of its temporary file or folder."""
+    try:
+        yield
+    except OSError as error:
+        # A full disk is reported without a name.
+        if error.filename is None or str(error.filename).startswith(str(part)):
+            name = str(error.filename or path).replace(str(part), str(path))
+            raise OSError(error.errno, error.strerror, name) from None
+        raise
+    except MagycError as error:
+        raise MagycError(str(error).replace(str(part), str(path))) from None
 
 
 @contextmanager
