@@ -16,6 +16,7 @@ from magyc_gtsam.history import History
 from magyc_gtsam.history.chain import Observations, solve
 from magyc_gtsam.history.coordinates import shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.history.log_factor import LogFactor, compress
+from magyc_gtsam.recording.applied import as_calibrated
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from season import SeasonPlan, dive_factors, draw_season
@@ -208,6 +209,9 @@ def test_what_is_no_log_of_its_own_is_no_step_of_the_walk(dives: tuple[LogFactor
 def test_a_log_that_fails_stays_a_row() -> None:
     good = [mg.simulate("wide", 120, 10, seed=seed).recording for seed in range(3)]
     blind = mg.Recording(good[0].time, good[0].magnetic_field)
+    calibrated = mg.calibrate_many([good[0], as_calibrated(good[1])])
+    assert calibrated.contradictions[0].sentence.startswith("the field is calibrated already")
+    assert not calibrated.factors[1].counts
     history = mg.calibrate_many([good[0], blind, *good[1:]])
     assert history.groups == ((0, 2, 3),)
     (contradiction,) = history.contradictions

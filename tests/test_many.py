@@ -216,6 +216,8 @@ def test_results_are_not_read_as_logs(season: Path, tmp_path: Path) -> None:
     assert main(["compare", one, "-o", str(folder / "compared"), "-q", "--methods", "smoother"]) in (0, 1)
     assert {file.name for file in folder.rglob("*.csv")} >= {"calibrations.csv", "comparison.csv"}
     assert len(list(folder.rglob("vectornav.txt"))) == 3
+    (folder / ".uploads").mkdir()
+    (folder / ".uploads" / "a.csv").write_text("time,mx,my,mz\n")
     assert find_logs(folder) == logs
     (folder / "vectornav.txt").write_text("time,mx,my,mz\n")  # no result, as none is beside it
     assert folder / "vectornav.txt" in find_logs(folder)

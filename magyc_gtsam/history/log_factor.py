@@ -24,6 +24,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.fingerprint import fingerprint
 
 HARD_IRON, GYRO_BIAS = slice(-6, -3), slice(-3, None)
@@ -59,8 +60,8 @@ class LogFactor:
         log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
         field_strength: field strength, T, estimated or given.
         problem: why the log has no information; "" if it has.
-        samples: fingerprint of its recording; "" in a history of an earlier version, of a file that cannot be read, and
-            of a copy of another log.
+        samples: fingerprint of its recording; "" in a history of an earlier version, of a file that cannot be read, of
+            a copy of another log, and of a calibrated log.
     """
 
     name: str
@@ -126,7 +127,7 @@ class LogFactor:
 
 
 def factor_of(recording: Recording, time: float | None, options: dict[str, Any]) -> LogFactor:
-    """Calibrate a log and compress it; the factor of a log that cannot be calibrated states the reason.
+    """Calibrate a log and compress it; the factor of a log that cannot be calibrated, or is already, states the reason.
 
     Args:
         recording: the log.
@@ -134,6 +135,8 @@ def factor_of(recording: Recording, time: float | None, options: dict[str, Any])
         options: options of `calibrate`.
     """
     when = date_of(recording) if time is None else time
+    if is_calibrated(recording):
+        return LogFactor(recording.name, when, None, None, problem=CALIBRATED)
     try:
         calibration = calibrate(recording, **options)
     except MagycError as problem:

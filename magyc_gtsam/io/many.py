@@ -29,7 +29,7 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
     """Return the logs that files, folders (recursively) and patterns name, each once.
 
     A file is accepted with any suffix; from folders and patterns only files with the suffix of a log are, and none
-    whose name begins with a dot or that is a result of the command line.
+    whose name, or whose folder's, begins with a dot, or that is a result of the command line.
 
     Raises:
         MagycError: a path does not exist, or a folder or pattern has no logs.
@@ -41,7 +41,11 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
     for each in listed:
         path = expect_path("read_many", each)
         if path.is_dir():
-            inside = [file for file in sorted(path.rglob("*")) if _is_log(file)]
+            inside = [
+                file
+                for file in sorted(path.rglob("*"))
+                if _is_log(file) and not any(part.startswith(".") for part in file.relative_to(path).parts)
+            ]
             if not inside:
                 raise MagycError(f"{path}: no logs in this folder ({', '.join(SUFFIXES)})")
             logs |= dict.fromkeys(inside)
