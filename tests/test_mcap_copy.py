@@ -77,8 +77,9 @@ def test_every_other_message_is_the_same(log: Path, tmp_path: Path, capsys: pyte
     out = tmp_path / "out.mcap"
     assert cli.main(["apply", str(tmp_path / "cal.yaml"), str(log), "-o", str(out)]) == 0
     assert "messages of other topics copied unchanged" in capsys.readouterr().out
-    (before, *rest), (after, *rest_after) = contents(log), contents(out)
-    assert rest == rest_after
+    (before, *rest), (after, metadata, attachments) = contents(log), contents(out)
+    assert rest == [metadata[:-1], attachments]
+    assert metadata[-1] == ("magyc-gtsam", {"calibrated /imu/mag": "yes"})
     assert [m[:-1] for m in before] == [m[:-1] for m in after]  # topics, schemas, times, sequence numbers
     sensors = ("/imu/mag", "/imu/data_raw")
     assert [m for m in before if m[0] not in sensors] == [m for m in after if m[0] not in sensors]
