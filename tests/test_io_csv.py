@@ -192,6 +192,8 @@ def test_rate_beside_stamps(tmp_path: Path) -> None:
     np.testing.assert_allclose(spaced.time, TIME)
     assert not spaced.channels
     assert "the stamps in t were not used: the rate is 100 Hz" in spaced.notes
+    with pytest.raises(MagycError, match="stamps='log': a text log has only the stamps in its columns"):
+        read(path, stamps="log")
     with pytest.raises(MagycError, match=r"rate: the column t of time stamps \(time=\) was named, too"):
         read(path, rate=100, time="t")
 

@@ -425,5 +425,7 @@ def test_stamps_of_two_clocks_are_the_cause_of_an_untrusted_result():
     untrusted = Calibration(np.eye(3), np.zeros(3), converged=False, message="too little motion: turn")
     verdict = judged(untrusted, shifted)
     assert verdict.cause == "the stamps of the two sensors begin and end 40 s apart"
-    assert verdict.action == "if their clocks differ, use the times of recording (stamps='log')"
+    assert (
+        verdict.action == "if their clocks differ, use the times of recording, if the log has them (stamps='log')"
+    )
     assert judged(untrusted, dive).cause == "too little motion"

@@ -52,7 +52,7 @@ def read(path: Path, request: Request) -> Recording:
         MagycError: a column is missing or ambiguous, a unit is unknown, or a cell is not a number; the message has the
             number of the line.
     """
-    request.only("text", *OPTIONS)
+    request.only("text", *OPTIONS, clock="the stamps in its columns")
     _check(request.options)
     table = load(path, request.options.get("columns"))
     notes: list[str] = []

@@ -129,7 +129,7 @@ def _clocks_apart(magnetometer: Array, gyroscope: Array) -> tuple[str, ...]:
     both = min(magnetometer[-1], gyroscope[-1]) - max(magnetometer[0], gyroscope[0])
     return (
         f"{CLOCKS_APART} {min(abs(begin), abs(end)):.0f} s apart ({', '.join(spans)}, both {both:.1f} s); if their "
-        "clocks differ, use the times of recording (stamps='log')",
+        "clocks differ, use the times of recording, if the log has them (stamps='log')",
     )
 
 
