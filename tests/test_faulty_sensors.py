@@ -344,7 +344,9 @@ def test_a_scale_that_the_known_strength_contradicts(method: str) -> None:
     wrong = mg.Recording(recording.time, 3.4 * recording.magnetic_field, recording.angular_rate)
     calibration = mg.calibrate(wrong, method, field_strength=49e-6)
     assert not calibration.trusted
-    assert re.search(r"1[67]\d µT strong, that of the place is 49 \(19.6 to 122 is accepted\)", calibration.message)
+    assert re.search(
+        r"1[67]\d µT strong, that of the place is 49 \(19.6 to 122 is accepted\)", calibration.message
+    )
 
 
 def test_a_sample_of_no_magnetometer(wide: Simulation) -> None:

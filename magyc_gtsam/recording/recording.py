@@ -249,15 +249,13 @@ class Recording:
         attitude by slerp; attitude and channels are NaN outside their time span.
 
         Raises:
-            MagycError: as the constructor, and if the stamps of the sensors do not overlap, or some are calendar stamps
-                and others numbers.
+            MagycError: as the constructor, and if the stamps of the sensors do not overlap, or not all are dates.
         """
         united = unite(magnetic_field, angular_rate, acceleration, attitude, channels, angular_rate_is)
-        notes = (*given_notes(notes), *united.pop("notes"))
+        united["notes"] = (*given_notes(notes), *united["notes"])
         return cls(
             **united,
             name=name,
-            notes=notes,
             angular_rate_is=angular_rate_is,
             attitude_is=attitude_is,
             magnetic_field_unit=magnetic_field_unit,

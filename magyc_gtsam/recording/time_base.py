@@ -120,9 +120,9 @@ def _pair(name: str, stream: Any) -> tuple[ArrayLike, ArrayLike]:
 
 
 def _clocks_apart(magnetometer: Array, gyroscope: Array) -> tuple[str, ...]:
-    """Return a remark if one sensor begins and ends later than the other, as where the clocks differ; else nothing."""
+    """Return a remark if one sensor begins and ends later than the other by the same time, as where clocks differ."""
     begin, end = float(magnetometer[0] - gyroscope[0]), float(magnetometer[-1] - gyroscope[-1])
-    if begin * end <= 0 or min(abs(begin), abs(end)) <= _APART:
+    if min(abs(begin), abs(end)) <= _APART or abs(begin - end) > _APART:
         return ()
     sensors = {"magnetometer": magnetometer, "gyroscope": gyroscope}
     spans = (f"{name} {time[0]:.1f} to {time[-1]:.1f} s" for name, time in sensors.items())

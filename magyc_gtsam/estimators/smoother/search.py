@@ -27,6 +27,7 @@ from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.recording import Recording
 
 Progress = Callable[[float], None]
@@ -72,7 +73,7 @@ def fit_field_chain(
     windows = samples.integrate(delay=delay or 0.0)
     if len(windows) < _LEAST_WINDOWS:
         raise MagycError(
-            f"{len(windows)} windows of {window:g} s, at least {_LEAST_WINDOWS} are needed: "
+            f"{counted(len(windows), 'window')} of {window:g} s, at least {_LEAST_WINDOWS} are needed: "
             "record longer (a minute or more), or move"
         )
     short_term = short_term_noise(recording) if noise is None else None
