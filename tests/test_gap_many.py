@@ -153,3 +153,22 @@ def test_what_cannot_be_compared_is_said(late: list[mg.Recording]) -> None:
     with pytest.raises(mg.MagycError, match="takes no calibration="):
         mg.find_gap(late, calibration=mg.Calibration(np.eye(3), np.zeros(3)))  # type: ignore[call-overload]
     assert find_gap_of_many(late[:1], ("timing",)).effects == ()
+
+
+def test_a_weaker_effect_beside_a_strong_one_is_named() -> None:
+    """A delay has a small part of the evidence of a strong current, but is no rival of it."""
+    effects = [("motor-current", 4.0), "timing"]
+    logs = [mg.simulate("wide", 150, seed=seed, effects=effects, effects_seed=3).recording for seed in (11, 12)]
+    gap = mg.find_gap(logs)
+    assert gap.verdict == "closed"
+    assert {"motor-current", "timing"} == {effect.name for effect in gap.effects}
+    assert all(calibration.delay == pytest.approx(0.04, abs=0.01) for calibration in gap.calibrations.values())
+
+
+def test_what_is_missing_is_in_no_calibration_that_is_trusted() -> None:
+    effects = ["cubic", "misalignment"]
+    logs = [mg.simulate("wide", 150, seed=seed, effects=effects, effects_seed=3).recording for seed in (1, 2)]
+    gap = mg.find_gap(logs, candidates=["motor-current"])
+    assert gap.verdict == "unknown"
+    assert not any(calibration.trusted for calibration in gap.calibrations.values())
+    assert all("is missing" in calibration.message for calibration in gap.calibrations.values())

@@ -124,8 +124,9 @@ def _show(gap: GapOfMany, folder: Path) -> None:
 
 def _headline(gap: GapOfMany) -> str:
     """Return the verdict in words, as for one log."""
-    headlines = {"none": "Nothing was found missing", "closed": "Gap found and closed"}
-    return headlines.get(gap.verdict, "Gap found, not closed")
+    from magyc_gtsam.report.gap_verdict import TITLES
+
+    return TITLES[gap.verdict]
 
 
 def _page(gap: GapOfMany) -> str:

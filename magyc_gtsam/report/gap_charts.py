@@ -156,7 +156,7 @@ def _headings(recording: Recording, gap: Gap) -> Array | None:
     up = vertical(recording.attitude, recording.acceleration)
     if up is None:
         return None
-    field = gap.base.apply(recording.magnetic_field)
+    field = gap.base.corrected(recording)
     axis = np.eye(3)[int(np.nanmean(np.abs(up), axis=0).argmin())]
     ahead = axis - up * (up @ axis)[:, None]
     length = np.linalg.norm(ahead, axis=1)

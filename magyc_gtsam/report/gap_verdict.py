@@ -21,7 +21,7 @@ _BETTER = 0.98  # ratio of prediction errors with and without correction, below 
 _NOISIER = 1.25  # ratio of the noise levels from which they count as different
 _FOREIGN = 0.1  # share of the field; a larger prediction error means another instrument, not a missing effect
 MOST_EFFECTS = 3  # largest number of effects named singly in the verdict
-_TITLES = {
+TITLES = {
     "none": "Nothing was found missing",
     "closed": "Gap found and closed",
     "unknown": "Something is missing, and it has no name",
@@ -186,4 +186,4 @@ def as_judged(gap: Gap, verdict: Verdict) -> Gap:
 
 def title(gap: Gap) -> str:
     """Return the verdict as a heading."""
-    return _TITLES[gap.verdict]
+    return TITLES[gap.verdict]

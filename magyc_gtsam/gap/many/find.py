@@ -11,7 +11,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested
 from magyc_gtsam.gap.evidence.generic import families
-from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, related
 from magyc_gtsam.gap.many.described import AddedEffect, told
 from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
@@ -20,8 +20,10 @@ from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Wei
 from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh, weigh_variation
 from magyc_gtsam.gap.model.refit import refit, widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
+from magyc_gtsam.gap.outcome.doubt import doubted
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.verdict import among, missing
+from magyc_gtsam.gap.result import Doubt
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
@@ -109,8 +111,11 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
     weighed = _look(state.logs, asked)
     state = replace(state, weighed=weighed)
     strongest = weighed[0]
-    explained = sum(each.evidence for each in state.added)
-    if strongest.nats < MODEL.sure + MODEL.remain * explained:
+    explained, limit = sum(each.evidence for each in state.added), MODEL.sure
+    for each in state.added:  # what it leaves looks like its rivals, or like no name
+        like = strongest.name not in TERMS or (each.name in TERMS and related(strongest.name, each.name))
+        limit += (MODEL.remain if like else MODEL.remain_apart) * each.evidence
+    if strongest.nats < limit:
         return state, False
     if strongest.named and more:
         varies = strongest.name == FIELD_VARIATION
@@ -257,6 +262,9 @@ def _with_variation(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, .
 def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
     calibrations = {log.name: _calibration(log) for log in state.logs}
     effects = (*told(state.added, state.logs, calibrations), *noise)
+    if state.unknown:
+        doubt = Doubt(_missing(state.unknown, state.logs, state.names), "compare the logs singly (`mg.find_gap`)")
+        calibrations = {name: doubted(calibration, doubt) for name, calibration in calibrations.items()}
     weights = tuple(Weight(each.name, each.shared, each.apart) for each in state.weighed)
     named = "; ".join(effect.sentence for effect in effects)
     if len(state.logs) < MODEL.least:

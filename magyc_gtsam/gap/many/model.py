@@ -19,7 +19,10 @@ class ManyModel:
         moments: the same between jumps, drifts and passed objects, whose forms only approximate the true one: over ten
             logs with a jump a quarter the size of a published one, a drift has 3 to 8 nats more than the jump.
         generic: nats, and share of its own, by which a generic family must lead all names.
-        remain: share of the explained evidence that may remain, because effects do not quite have the catalogue's form.
+        remain: share of the explained evidence that may remain as a rival or as no name, because effects do not quite
+            have the catalogue's form.
+        remain_apart: the same as an effect that is no rival: effects of twice their published strength leave 0.2 and
+            0.4 % of theirs as another one, and a delay beside a current of four times its strength is 6 %.
         few: share of the logs up to which an effect without a name is attributed to these logs alone.
         most: number of effects at which a search ends.
         alone: nats from which one log alone names an effect on the noise.
@@ -37,6 +40,7 @@ class ManyModel:
     moments: float = 10.0
     generic: tuple[float, float] = (3.0, 0.05)
     remain: float = 0.08
+    remain_apart: float = 0.01
     few: float = 0.34
     most: int = 5
     alone: float = 6.0

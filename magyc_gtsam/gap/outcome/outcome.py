@@ -111,7 +111,10 @@ def gap_of(
     untested = _untested(names, base)
     tested = hypotheses(result, names, found, word, discrete)
     if word == "none":
-        sentence = f"{sentence}; {unseen(tested, len(untested))}"
+        given = [] if calibration is None else [term.name for term in calibration.terms]
+        if calibration is not None and calibration.delay:
+            given.append("timing")
+        sentence = f"{sentence}; {unseen(tested, len(untested), given)}"
     plainly, doubts = judged(started, base, result.recording, strength)
     used, untrusted = judged(final, corrected, result.recording, strength) if applied else (plainly, doubts)
     contradicted = () if calibration is None else against(calibration, plainly)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from magyc_gtsam.gap.effects import LABELS, MOMENTS, NAMES, TERMS
 from magyc_gtsam.gap.evidence.generic import families
@@ -47,11 +47,19 @@ def among(names: Sequence[str]) -> str:
     return "in the catalogue" if set(names) == set(NAMES) else "among the candidates"
 
 
-def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
-    """Return the limits of the verdict "none": effects that are too small, or that would not have been found."""
+def unseen(hypotheses: Sequence[Hypothesis], untested: int, given: Collection[str] = ()) -> str:
+    """Return the limits of the verdict "none": effects that are too small, or that would not have been found.
+
+    Args:
+        hypotheses: what was tested.
+        untested: number of effects that could not be.
+        given: names of the effects that the given calibration has.
+    """
     blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
     parts = [
-        f"“{h.label}” is possible ({h.probability:.0%}), but too weak to be distinguished from other weak effects"
+        f"“{h.label}” is in the given calibration, and its probability on this log is {h.probability:.0%}"
+        if h.name in given
+        else f"“{h.label}” is possible ({h.probability:.0%}), but too weak to be distinguished from other weak effects"
         for h in hypotheses
         if h.status == "possible"
     ]
