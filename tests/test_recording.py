@@ -268,6 +268,25 @@ def test_no_reference_inside_a_hole_of_the_reference():
     np.testing.assert_array_equal(np.isnan(recording.attitude[:, 0]), (time > time[49]) & (time < time[150]))
 
 
+def test_a_channel_is_not_known_in_its_long_pauses() -> None:
+    """It was interpolated there, so that its absence did not show; a stream is slow only if all of it is."""
+    time = np.arange(600) / 10
+    current = np.where((time > 20) & (time < 35), np.nan, time)  # 15 s without a value
+    logged, short = np.isfinite(current), (time <= 20) | (time >= 29)
+    slow = np.arange(0, 60, 4.0)
+    recording = Recording.from_streams(
+        (time, field(600)),
+        channels={
+            "current": (time[logged], current[logged]),
+            "depth": (time[short], np.stack([time[short], time[short]]).T),
+            "temperature": (slow[slow != 20.0][:-1], slow[slow != 20.0][:-1]),
+        },
+    )
+    np.testing.assert_allclose(recording.channels["current"], current)
+    np.testing.assert_allclose(recording.channels["depth"], np.stack([time, time]).T)
+    np.testing.assert_allclose(recording.channels["temperature"][:520], time[:520])
+
+
 def test_streams_without_a_gyroscope():
     recording = Recording.from_streams((np.arange(10), field(10)))
     assert recording.angular_rate is None

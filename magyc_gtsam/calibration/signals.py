@@ -14,6 +14,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import real_array
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.checks import columns_of, frozen, named_channels
+from magyc_gtsam.recording.pauses import filled
 from magyc_gtsam.recording.stamps import origin_of, seconds
 
 _VECTORS = ("magnetic_field", "angular_rate", "acceleration")
@@ -88,10 +89,7 @@ def as_signals(name: str, rows: int, given: Mapping[str, Any], terms: Sequence[T
 
 def _filled(time: Array, row: Array) -> Array:
     """Return a channel (n,) with its NaN interpolated linearly, where it has finite samples and their times."""
-    known = np.isfinite(row)
-    if known.all() or not known.any() or not np.isfinite(time).all():
-        return row
-    return np.interp(time, time[known], row[known])
+    return filled(time, row)[0] if np.isfinite(time).all() else row
 
 
 def vectors(name: str, value: ArrayLike) -> Array:

@@ -54,8 +54,6 @@ class Rules:
     # s, maximum length of an innovation's window, and of a mean by which a rest is detected: field and bias are
     # constant in it, noise averages out
     window: float = 1.0
-    pause: float = 10.0  # s, longest pause of a channel that is interpolated; or in spacings of its own values,
-    pause_spacings: float = 5.0  # whichever is longer
     rows_left_out: float = 0.5  # share of the rows that a channel's pauses may take; with more it is not used
     repeats_by_chance: float = 0.2  # step in sigmas above which repeated values are chance, not held samples
     rest_means: int = 10  # number of such means that hardly differ, from which they are a rest

@@ -246,7 +246,7 @@ class Recording:
         The rows are the union of the magnetometer's and the gyroscope's stamps where the two overlap. Between its
         samples the magnetometer holds the last one and the gyroscope is interpolated (an interval mean applies back
         to the sample before); `*_fresh` marks these rows as filled. Acceleration and channels are interpolated,
-        attitude by slerp; attitude and channels are NaN outside their time span.
+        attitude by slerp; attitude and channels are NaN outside their time span and in their long pauses.
 
         Raises:
             MagycError: as the constructor, and if the stamps of the sensors do not overlap, or not all are dates.

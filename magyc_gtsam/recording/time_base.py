@@ -20,6 +20,7 @@ from magyc_gtsam.recording.checks import (
     unit_quaternions,
     without_no_values,
 )
+from magyc_gtsam.recording.pauses import known_at
 from magyc_gtsam.recording.stamps import is_calendar, origin_of, seconds
 
 Stream = tuple[ArrayLike, ArrayLike]
@@ -86,7 +87,11 @@ def unite(
             result["notes"] += (note,) if note else ()
             known = np.isfinite(channel).reshape(len(channel), -1).all(axis=1)
             channel_time, channel = channel_time[known], channel[known]
-        result["channels"][k] = _on_rows(time, channel_time, channel, outside=np.nan)
+        on_rows = _on_rows(time, channel_time, channel, outside=np.nan)
+        known = known_at(time, channel_time)
+        if not known.all():
+            on_rows = given_away(np.where(known.reshape(-1, *[1] * (on_rows.ndim - 1)), on_rows, np.nan))
+        result["channels"][k] = on_rows
     if "angular_rate" in clean:
         gyro_time, gyro = clean["angular_rate"]
         if angular_rate_is == "interval-mean" and time is not mag_time:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.pauses import filled
 
 
 def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
@@ -24,13 +24,13 @@ def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
         columns = recording.channels[name].reshape(len(time), -1).T
         if np.isfinite(columns).all():
             continue
-        filled = [_filled(time, column) for column in columns]
-        there = np.all([have for _, have in filled], axis=0)
+        rows_filled = [filled(time, column) for column in columns]
+        there = np.all([have for _, have in rows_filled], axis=0)
         if (known & there).mean() < 1 - RULES.rows_left_out:
             channels[name] = np.full_like(recording.channels[name], np.nan)
             said.append(f"{name}, which was logged in {there.mean():.0%} of the rows only")
             continue
-        channels[name] = np.stack([column for column, _ in filled]).T.reshape(recording.channels[name].shape)
+        channels[name] = np.stack([column for column, _ in rows_filled]).T.reshape(recording.channels[name].shape)
         if not there.all():
             rows = np.flatnonzero(~there)
             said.append(
@@ -38,14 +38,3 @@ def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
             )
         known &= there
     return replace(recording, channels=channels).rows(known), said
-
-
-def _filled(time: Array, column: Array) -> tuple[Array, np.ndarray]:
-    """Return a channel's row with short pauses interpolated, and a mask of the rows in which it is known."""
-    have = np.isfinite(column)
-    if have.sum() < 2:
-        return column, have
-    own = time[have]
-    spacing = np.diff(np.concatenate([time[:1], own, time[-1:]]))
-    long = spacing > max(RULES.pause, RULES.pause_spacings * float(np.median(np.diff(own))))
-    return np.interp(time, own, column[have]), have | ~long[np.searchsorted(own, time)]
