@@ -358,3 +358,25 @@ def test_what_no_target_computes_is_said() -> None:
     for term in (lagging, late, several):
         text = Calibration(SOFT_IRON, HARD_IRON, terms=(term,)).export("px4")
         assert f"LIMIT: not included: {term.name}" in text
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_after_a_jump_the_iron_at_the_end_of_the_log_is_exported(target: str) -> None:
+    """With what was pasted before, every reading after the jump was off by it."""
+    at_end = FIELD[len(FIELD) // 2 :], np.arange(40.0)[len(FIELD) // 2 :]
+    jumps = (
+        Term("hard-iron-step", [4e-6, -1e-6, 2e-6], np.eye(3) * 1e-16, {"time": 1.0}),
+        Term("hard-iron-step", [1e-6, 1e-6, 0.0], np.eye(3) * 1e-16, {"time": 2.0}),
+        Term("soft-iron-step", [0.01, 0.02, 0.0, -0.02, 0.01, 0.0], np.eye(6) * 1e-8, {"time": 3.0}),
+    )
+    passed = Term("hard-iron-step", [4e-6, 0.0, 0.0], np.eye(3) * 1e-16, {"time": 1.0, "until": 2.0})
+    calibration = Calibration(SOFT_IRON, HARD_IRON, GYRO_BIAS, terms=(*jumps, passed, passed))
+    text = calibration.export(target)
+    assert text.startswith("# LIMIT: not included: hard-iron-step. Only ")
+    said = "# LIMIT: the values are those after hard-iron-step, soft-iron-step, at the end of the log. "
+    assert text.splitlines()[1].startswith(said)
+    field, _ = CORRECTED_BY[target](text, at_end[0], RATE[: len(at_end[0])])
+    expected = calibration.apply(at_end[0], time=at_end[1])
+    if target in ("px4", "ardupilot"):  # which take symmetric matrices: the strength is the same
+        field, expected = np.linalg.norm(field, axis=1), np.linalg.norm(expected, axis=1)
+    np.testing.assert_allclose(field, expected, rtol=0, atol=2e-11)

@@ -9,6 +9,8 @@ parameters that the target has for them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,10 +21,11 @@ from magyc_gtsam.export.parts import numbered, with_terms
 from magyc_gtsam.export.px4 import px4
 from magyc_gtsam.export.ros import ros
 from magyc_gtsam.export.vectornav import vectornav
+from magyc_gtsam.factors.effects.dated import afterwards
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 
-__all__ = ["TARGETS", "do_not_use", "export"]
+__all__ = ["TARGETS", "do_not_use", "export", "exported"]
 
 TARGETS: dict[str, Callable[[Correction], list[str]]] = {
     "px4": px4,
@@ -51,7 +54,8 @@ def export(
         soft_iron: (3, 3).
         hard_iron: (3,) T.
         gyro_bias: (3,) rad/s, in the axes of the calibrated field; None leaves the gyroscope out.
-        terms: other effects of the calibration; a comment lists those that the target cannot represent.
+        terms: other effects of the calibration. Jumps of iron and bias that last are in the values, which are those
+            after them; a comment says so, and lists the terms that the target cannot represent.
         per_motor: the channels of current are outputs of motors, each with separate compensation (ArduPilot).
         compass: number of the compass on the vehicle, from 1, for targets with several.
 
@@ -60,21 +64,63 @@ def export(
     """
     if target not in TARGETS:
         raise MagycError(f"unknown export target {target!r}; there are {', '.join(TARGETS)}")
-    bare = Correction(
-        matrix=np.linalg.inv(np.asarray(soft_iron, dtype=np.float64)),
-        offset=np.asarray(hard_iron, dtype=np.float64),
-        gyro_bias=None if gyro_bias is None else np.asarray(gyro_bias, dtype=np.float64),
+    after = afterwards(
+        np.asarray(soft_iron, dtype=np.float64),
+        np.asarray(hard_iron, dtype=np.float64),
+        None if gyro_bias is None else np.asarray(gyro_bias, dtype=np.float64),
+        terms,
     )
-    correction, missing = with_terms(bare, terms, target, per_motor)
+    bare = Correction(
+        np.asarray(np.linalg.inv(after.soft_iron), dtype=np.float64), after.hard_iron, after.gyro_bias
+    )
+    correction, missing = with_terms(bare, after.terms, target, per_motor)
     lines = numbered(TARGETS[target](correction), target, compass)
     missing += ["motor-current"] if correction.motor is not None and target not in _WITH_MOTOR else []
     if target not in _WITH_TEMPERATURE:
         missing += ["temperature-hard-iron"] if correction.thermal is not None else []
         missing += ["temperature-gyro"] if correction.warming_gyro is not None else []
-    limit = (
-        [f"# LIMIT: not included: {', '.join(missing)}. Only `magyc-gtsam apply` corrects it."] if missing else []
+    return "\n".join([*_limits(missing, [term.name for term in after.jumps]), *lines]) + "\n"
+
+
+def _limits(missing: Sequence[str], jumps: Sequence[str]) -> list[str]:
+    """Return comments on the effects that an export lacks, and on those whose end state it has."""
+    limits = []
+    if missing:
+        limits.append(f"not included: {_each(missing)}. Only `magyc-gtsam apply` corrects it.")
+    if jumps:
+        limits.append(
+            f"the values are those after {_each(jumps)}, at the end of the log. "
+            "Only `magyc-gtsam apply` corrects that log before it."
+        )
+    return [f"# LIMIT: {limit}" for limit in limits]
+
+
+def _each(names: Sequence[str]) -> str:
+    return ", ".join(dict.fromkeys(names))
+
+
+def exported(calibration: Any, target: str, force: bool, per_motor: bool) -> str:
+    """Return the text for a `Calibration`; `Calibration.export` describes it."""
+    if not calibration.trusted:
+        reason = calibration.message or "not observable"
+        if not force:
+            raise MagycError(
+                f"the result must not be trusted, so nothing is exported: {reason}; "
+                "record again, or see the values as comments (force=True)"
+            )
+        trusted = replace(calibration, converged=True, observability=None)
+        return do_not_use(reason, exported(trusted, target, False, per_motor))
+    if calibration.magnetic_field_unit == "counts":
+        raise MagycError("a calibration in raw counts cannot be exported; calibrate in tesla")
+    return export(
+        target,
+        calibration.soft_iron,
+        calibration.hard_iron,
+        calibration.gyro_bias,
+        calibration.terms,
+        per_motor=per_motor,
+        compass=calibration.configuration.get("compass", 1),
     )
-    return "\n".join([*limit, *lines]) + "\n"
 
 
 def do_not_use(reason: str, text: str) -> str:

@@ -6,6 +6,7 @@ are tested there. `NAMES` lists all effects in the catalogue's order.
 
 from __future__ import annotations
 
+from magyc_gtsam.factors.effects.dated import MOMENTS
 from magyc_gtsam.gap.effects import alignment, gyroscope, iron, response, soft_iron, world
 from magyc_gtsam.gap.effects.term import EffectTerm
 
@@ -64,15 +65,6 @@ PHYSICS: dict[str, str] = {name: term.physics for name, term in TERMS.items()} |
     "axis-order": "Drivers and mountings exchange the axes of a sensor or turn them round. The two sensors then state "
     "turns that do not belong together. No small error of alignment resembles it.",
 }
-# Functions of time alone, at times of one log.
-MOMENTS = (
-    "hard-iron-step",
-    "soft-iron-step",
-    "gyro-bias-step",
-    "gyro-bias-drift",
-    "hard-iron-drift",
-    "local-anomaly",
-)
 
 
 def nested(one: str, other: str) -> bool:
