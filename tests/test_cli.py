@@ -468,6 +468,10 @@ def test_apply(
         assert "the field is calibrated already" in again
         assert "apply the calibration to the log as it was recorded" in again
     assert "calibrated already" in run("info", f"out.{suffix}", cwd=tmp_path).stdout
+    help_text = " ".join(run("apply", "--help", cwd=tmp_path).stdout.split())
+    assert "apply and history refuse it as a LOG" in help_text.replace("`", "")
+    taken = run("calibrate", f"out.{suffix}", "-o", "of_output", cwd=tmp_path)  # by all others, with a note
+    assert "note: the field is calibrated already" in taken.stdout, taken.stderr
 
 
 def test_apply_of_a_calibration_of_another_instrument(

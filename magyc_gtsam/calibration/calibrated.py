@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 from magyc_gtsam.calibration.calibration import Calibration
+from magyc_gtsam.calibration.elsewhere import TermWarning
 from magyc_gtsam.recording import Recording
 
 
@@ -22,12 +24,15 @@ def calibrated(calibration: Calibration, recording: Recording) -> Recording:
         MagycError: a term needs a signal that the recording lacks.
 
     Warns:
-        UserWarning: as `Calibration.apply`.
+        UserWarning: as `Calibration.apply`, but of terms (`on_recording` returns these sentences).
     """
     rate = recording.angular_rate
-    if rate is not None and calibration.gyro_bias is not None:
-        rate = calibration.apply_gyroscope(recording)
-    return replace(recording, magnetic_field=calibration.apply(recording), angular_rate=rate)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TermWarning)
+        if rate is not None and calibration.gyro_bias is not None:
+            rate = calibration.apply_gyroscope(recording)
+        field = calibration.apply(recording)
+    return replace(recording, magnetic_field=field, angular_rate=rate)
 
 
 def without_lag(recording: Recording, lag: float) -> Recording:

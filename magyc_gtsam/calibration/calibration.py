@@ -13,10 +13,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.calibration.elsewhere import on_recording, warn_of
 from magyc_gtsam.calibration.limits import checked, warn_if_implausible
 from magyc_gtsam.calibration.serialization import as_mapping, as_text, constructor_arguments
 from magyc_gtsam.calibration.signals import as_signals, check_field_units, given_signals, vectors
-from magyc_gtsam.export import do_not_use, export
+from magyc_gtsam.export import exported
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
@@ -104,25 +105,30 @@ class Calibration:
                 a term needs a signal that is missing, or the rows before a single one.
 
         Warns:
-            UserWarning: the median strength of the result is outside 8 to 175 µT.
+            UserWarning: the median strength of the result is outside 8 to 175 µT; or a recording is not the one in
+                which a dated term was found (a jump counts as set in, others are left out), or lacks a channel that
+                a term follows for some time.
         """
-        field = self.corrected(magnetic_field, **signals)
+        calibration, notes = on_recording(self, magnetic_field)
+        field: Array = calibration.corrected(magnetic_field, **signals)
+        warn_of(notes)
         if self.magnetic_field_unit == "T":
             warn_if_implausible(field)
         return field
 
     def corrected(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
-        """Return the result of `apply` without its warning, for callers that judge or show the strength."""
+        """Return the result of `apply` without its warnings, for callers that judge or show the strength."""
         check_field_units(magnetic_field, self.magnetic_field_unit)
+        held, _ = on_recording(self, magnetic_field)
         given = given_signals(magnetic_field, "magnetic_field", signals)
         m = vectors("magnetic_field", given.pop("magnetic_field"))
         rows = np.atleast_2d(m)
-        at = as_signals("magnetic_field", len(rows), given, self.terms)
-        if not self.terms:
-            return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
-        if at.rate is not None and self.gyro_bias is not None:
-            at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
-        return corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at).T.reshape(m.shape)
+        at = as_signals("magnetic_field", len(rows), given, held.terms)
+        if not held.terms:
+            return cast(Array, (m - held.hard_iron) @ np.linalg.inv(held.soft_iron).T)
+        if at.rate is not None and held.gyro_bias is not None:
+            at = replace(at, rate=corrected_rate(at.rate, held.gyro_bias, held.terms, at))
+        return corrected_field(rows.T, held.soft_iron, held.hard_iron, held.terms, at).T.reshape(m.shape)
 
     def apply_gyroscope(self, angular_rate: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the calibrated angular rate w − gyro_bias, without the effects in `terms`.
@@ -137,16 +143,21 @@ class Calibration:
         Raises:
             MagycError: the method estimates no gyroscope bias, wrong shape or lengths, or a term needs a signal that
                 is missing, or the rows before a single one.
+
+        Warns:
+            UserWarning: as `apply`, of terms.
         """
         if self.gyro_bias is None:
             raise MagycError(f"method {self.method!r} does not estimate a gyroscope bias; choose one that does")
+        held, notes = on_recording(self, angular_rate)
+        warn_of(notes)
         given = given_signals(angular_rate, "angular_rate", signals)
         w = vectors("angular_rate", given.pop("angular_rate"))
         rows = np.atleast_2d(w)
-        at = as_signals("angular_rate", len(rows), given, self.terms)
-        if not self.terms:
-            return w - self.gyro_bias
-        return corrected_rate(rows.T, self.gyro_bias, self.terms, at).T.reshape(w.shape)
+        at = as_signals("angular_rate", len(rows), given, held.terms)
+        if not held.terms:
+            return cast(Array, w - held.gyro_bias)
+        return corrected_rate(rows.T, held.gyro_bias, held.terms, at).T.reshape(w.shape)
 
     @property
     def recording(self) -> Recording | None:
@@ -224,6 +235,8 @@ class Calibration:
     def export(self, target: str, *, force: bool = False, per_motor: bool = False) -> str:
         """Return the parameters to paste into an autopilot, instrument or driver; see `magyc_gtsam.export`.
 
+        They are those at the end of the log: with the jumps of iron and bias that `terms` hold.
+
         Args:
             target: "px4", "ardupilot", "vectornav" or "ros".
             force: return the values of a result that must not be trusted too, as comments under DO NOT USE and the
@@ -234,20 +247,7 @@ class Calibration:
         Raises:
             MagycError: the result must not be trusted (without `force`), or the target cannot represent it.
         """
-        if not self.trusted:
-            reason = self.message or "not observable"
-            if not force:
-                raise MagycError(
-                    f"the result must not be trusted, so nothing is exported: {reason}; "
-                    "record again, or see the values as comments (force=True)"
-                )
-            trusted = replace(self, converged=True, observability=None)
-            return do_not_use(reason, trusted.export(target, per_motor=per_motor))
-        if self.magnetic_field_unit == "counts":
-            raise MagycError("a calibration in raw counts cannot be exported; calibrate in tesla")
-        compass = self.configuration.get("compass", 1)
-        parameters = self.soft_iron, self.hard_iron, self.gyro_bias, self.terms
-        return export(target, *parameters, per_motor=per_motor, compass=compass)
+        return exported(self, target, force, per_motor)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_dict, (self.to_dict(),)

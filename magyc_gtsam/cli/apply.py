@@ -45,11 +45,14 @@ def run(
     gyroscope bias is subtracted if the method estimated one, and the effects found by `magyc-gtsam gap` are
     corrected; a delay of the magnetometer in the stamps of its samples, which are then earlier. Use the same reading
     options (units, axes) as for the calibration; an effect of a current or a temperature needs that channel in the log.
-    An untrusted calibration is refused with exit code 1, which is also that of a field unlike the Earth's. The output
-    is marked as calibrated, and is refused as a LOG.
+    An effect that is dated in the log in which it was found (a jump, a drift, a passed object, a tone) is corrected in
+    that log: in another one a jump counts as set in from its start, the others are left out, and a note says so. An
+    untrusted calibration is refused with exit code 1, which is also that of a field unlike the Earth's. The output is
+    marked as calibrated: `apply` and `history` refuse it as a LOG, other commands read it and note the mark.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.calibration.calibrated import calibrated, lag_of, without_lag
+    from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.recording.applied import as_calibrated, is_calibrated
     from magyc_gtsam.report.verdict import judged
@@ -68,6 +71,7 @@ def run(
                 f"{reading.log}: the field is calibrated already (magyc-gtsam apply wrote it); apply the calibration "
                 "to the log as it was recorded"
             )
+        calibration, notes = on_recording(calibration, recording)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             result = as_calibrated(calibrated(calibration, recording))
@@ -81,6 +85,8 @@ def run(
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(result.magnetometer.time)} samples of the calibrated field{copied}")
+    for note in notes:  # of the values that were written, whether or not their number is shown
+        complain(f"note: {note}")
     doubts = [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
     for doubt in doubts:
         complain(f"the result must not be trusted: {doubt}")

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import overload
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.elsewhere import on_recording
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.errors import MagycError
@@ -77,7 +78,8 @@ def find_gap(
             acceleration allow more effects to be tested. Several recordings of one instrument are compared: an effect
             of the instrument has one value in all, an effect of the place or the day a separate value in each.
         calibration: the initial model with its delay and terms. All of it is estimated again; parameters that the data
-            contradict are in the sentence and in `Gap.moved`. None: the twelve parameters without delay.
+            contradict are in the sentence and in `Gap.moved`. A jump that it found in another recording counts as set
+            in, and other terms that are dated there are left out. None: the twelve parameters without delay.
         simulated: a recording of the user's own simulator on the same or a similar motion, compared directly.
         candidates: names to choose from; None for the whole catalogue.
         progress: called with the share done, 0 to 1.
@@ -95,6 +97,7 @@ def find_gap(
     _check_types(recording, calibration, simulated)
     report = progress or (lambda _: None)
     report(0.0)
+    calibration, _ = on_recording(calibration, recording)
     theirs, before = None, 0.0
     if simulated is not None:  # first, since an error in it would cost the result of the recording
         theirs, before = _side(simulated, names, "simulated: ", lambda done: report(0.5 * done)), 0.5
