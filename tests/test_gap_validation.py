@@ -10,6 +10,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.validation import agreement, differences
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.simulation.environment import CHANNELS
@@ -123,3 +124,40 @@ def test_an_effect_of_another_size_does_not_hold() -> None:
     better, worse = (after.held_out - before.held_out for before, after in tried)
     assert better > 1
     assert worse < -1
+
+
+def test_iron_after_a_jump_holds_on_a_later_log() -> None:
+    """And the agreement, heading included, is that of the iron after the jump, whatever its time in the first log."""
+    jump = Term("hard-iron-step", [3e-6, -2e-6, 1e-6], np.eye(3) * 1e-16, {"time": 150.0})
+    drift = Term("hard-iron-drift", [5e-6, 0.0, 0.0], np.eye(3) * 1e-16, {"order": 0.0, "start": 0.0, "end": 1.0})
+    first = mg.calibrate(mg.simulate("wide", 200, seed=51).recording)
+    dated = replace(first, terms=(*first.terms, jump, drift), diagnostics={})  # its recording need not be known
+    after = replace(first, hard_iron=first.hard_iron + jump.value)
+    later = mg.simulate(
+        "wide", 200, seed=52, hard_iron=mg.simulate("wide", 1).truth.hard_iron + jump.value
+    ).recording
+    found, expected = (agreement(later, each)[0] for each in (dated, after))
+    assert found.heading == expected.heading
+    assert found.open_loop.rms == expected.open_loop.rms
+    assert differences(later, dated) == ()
+
+
+def test_a_result_with_a_jump_holds_on_the_next_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its time in the first log says nothing about the second; terminal and page say how it counts there."""
+    jump = np.array([4e-6, -3e-6, 2e-6])
+    first, later = (
+        mg.simulate("wide", 200, seed=61).recording,
+        mg.simulate("wide", 200, seed=62, hard_iron=mg.simulate("wide", 1).truth.hard_iron + jump).recording,
+    )
+    field = first.magnetic_field + (first.time > 100.0)[:, None] * jump
+    write_mcap(tmp_path / "first.mcap", replace(first, magnetic_field=field))
+    write_mcap(tmp_path / "later.mcap", later)
+    asked = ["gap", str(tmp_path / "first.mcap"), "--validate", str(tmp_path / "later.mcap")]
+    asked += ["--candidates", "hard-iron-step", "-o", str(tmp_path / "out")]
+    assert cli.main(asked) == 0
+    said = capsys.readouterr().out
+    for text in (said, (tmp_path / "out" / "report.html").read_text()):
+        assert "s of another recording, it counts as set in" in text
+    given = ["--calibration", str(tmp_path / "out" / "calibration.yaml"), "--candidates", "timing"]
+    assert cli.main(["gap", str(tmp_path / "later.mcap"), *given, "-o", str(tmp_path / "next")]) == 0
+    assert "note: hard-iron-step: found at " in capsys.readouterr().out

@@ -19,6 +19,7 @@ from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
 from magyc_gtsam.cli.terminal import (
     Progress,
     concluded,
+    noted,
     show,
     show_details,
     show_json,
@@ -111,6 +112,7 @@ def run(
         logs = find_logs([reading.log, *(more or [])])
         return gap_of_logs(reading, logs, names, output, open_page, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
+    from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
     from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
 
@@ -151,7 +153,7 @@ def run(
             show("")
         _show(gap, validation, verbose)
         show(*(f"left out: {fault}" for fault in gap.diagnostics["left_out"]))
-        show_results(folder, recording.notes)
+        show_results(folder, (*recording.notes, *on_recording(start, recording)[1]))
     return concluded(verdict, shown=not (quiet or json))
 
 
@@ -219,6 +221,7 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
     """Test the model before and after on another log."""
+    from magyc_gtsam.calibration.elsewhere import elsewhere
     from magyc_gtsam.gap.validation import SWEPT, agreement, differences, swept
     from magyc_gtsam.report.gap_verdict import Validation
 
@@ -228,7 +231,7 @@ def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Val
     assert strength is not None  # a calibration without it agrees with nothing
     differing = differences(recording, gap.calibration) if sweep >= SWEPT * strength else ()
     progress(1.0)
-    return Validation(log.name, sweep, found[0], found[-1], differing)
+    return Validation(log.name, sweep, found[0], found[-1], differing, tuple(elsewhere(gap.calibration)[1]))
 
 
 def _values(gap: Gap, validation: Validation | None, judged: Verdict) -> dict[str, Any]:
@@ -261,6 +264,7 @@ def _show(gap: Gap, validation: Validation | None, every: bool) -> None:
         show_table(words.METRICS, words.metric_rows(validation.before, validation.after))
         if validation.differences:
             show_table(words.DIFFERS, words.moved_rows(validation.differences))
+        show(*noted(validation.notes))
     rejected = [a.sentence for a in gap.assumptions if a.rejected]
     if gap.assumptions:
         compared = sum(a.compared for a in gap.assumptions)

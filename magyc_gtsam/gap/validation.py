@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.elsewhere import elsewhere
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SensorNoise
@@ -14,7 +15,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.effects import MOMENTS, TERMS
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
@@ -35,22 +36,21 @@ _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
 SWEPT = 0.5  # share of the field; smallest sweep of a recording that can validate
-# Terms that belong to the time or place of one recording do not apply to another.
-_OF_ONE_RECORDING = (*MOMENTS, "tone")
 
 
 def agreement(recording: Recording, *calibrations: Calibration) -> tuple[Metrics, ...]:
     """Return how well calibrations with their terms agree with another recording of the same instrument.
 
-    All parameters are fixed except the gyroscope's bias, which changes between switch-ons. Terms that belong to a time
-    or place of the recording they were found in (a step, a passing object) are left out. All have the noise of the last
-    and the field variation that it leaves, so that they differ in what they predict.
+    All parameters are fixed except the gyroscope's bias, which changes between switch-ons. Of the terms that are dated
+    in the recording they were found in, jumps count as set in, and others (a drift, a passed object) are left out. All
+    have the noise of the last and the field variation that it leaves, so that they differ in what they predict.
 
     Raises:
         MagycError: no gyroscope; no bias, noise or field strength in a calibration; or a term needs a channel that the
             recording lacks.
     """
     noise = calibrations[-1].noise  # a poorer model attributes its misfit to noise
+    calibrations = tuple(elsewhere(each)[0] for each in calibrations)
     found = [(each, _predicted(recording, replace(each, noise=noise))) for each in calibrations]
     variation = field_variation(found[-1][1])
     return tuple(
@@ -87,13 +87,14 @@ def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, 
     Raises:
         MagycError: no gyroscope, no uncertainty or field strength in the calibration, or data that cannot be fitted.
     """
+    calibration = elsewhere(calibration)[0]
     recording = _prepared(recording, calibration)
     if calibration.field_strength is None or calibration.covariance is None:
         raise MagycError(
             f"the calibration of method {calibration.method!r} states no field strength or no uncertainty, without "
             "which a difference has no size; calibrate with smoother"
         )
-    terms = tuple(t for t in calibration.terms if t.side is not None and t.name not in _OF_ONE_RECORDING)
+    terms = tuple(t for t in calibration.terms if t.side is not None)
     if not any(t.name == "timing" for t in terms):
         known = calibration.delay_sigma or 0.0
         terms = (*terms, Term("timing", np.array([calibration.delay]), np.array([[known**2]]), {}))
@@ -116,8 +117,14 @@ def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, 
 def _without_strength(calibration: Calibration) -> Calibration:
     """Return the calibration with a soft iron of determinant 1."""
     assert calibration.covariance is not None
-    soft_iron, _, covariance = fix_scale(calibration.soft_iron, calibration.covariance)
+    soft_iron, _, covariance = fix_scale(_symmetric(calibration.soft_iron), calibration.covariance)
     return replace(calibration, soft_iron=soft_iron, covariance=covariance)
+
+
+def _symmetric(soft_iron: Array) -> Array:
+    """Return the symmetric part, which is all that the model knows; after a jump the soft iron has a small other."""
+    part: Array = 0.5 * (soft_iron + soft_iron.T)
+    return part
 
 
 def _prepared(recording: Recording, calibration: Calibration) -> Recording:
@@ -137,15 +144,11 @@ def swept(recording: Recording) -> float:
 
 
 def as_model(problem: Problem, calibration: Calibration) -> Model:
-    """Return the model of a calibration with free bias, without the terms that belong to one recording."""
+    """Return the model of a calibration with free bias, and its terms on readings."""
     assert calibration.field_strength is not None
     free = np.zeros(PARAMETERS, dtype=bool)
     free[_BIAS] = True
-    terms = tuple(
-        Active(t.name, t.setting, t.value)
-        for t in calibration.terms
-        if t.side is not None and t.name not in _OF_ONE_RECORDING
-    )
+    terms = tuple(Active(t.name, t.setting, t.value) for t in calibration.terms if t.side is not None)
     for term in terms:
         known = {
             *problem.magnetometer.channels,
@@ -159,7 +162,7 @@ def as_model(problem: Problem, calibration: Calibration) -> Model:
             )
     parameters: Array = np.concatenate(
         [
-            vech(calibration.soft_iron * calibration.field_strength),
+            vech(_symmetric(calibration.soft_iron) * calibration.field_strength),
             calibration.hard_iron,
             np.zeros(3) if calibration.gyro_bias is None else calibration.gyro_bias,
             [calibration.delay],

@@ -39,6 +39,7 @@ class Validation:
         swept: sweep of its field, T.
         before, after: agreement with it of the twelve parameters alone, and of the model with the effects found.
         differences: the parameters that differ significantly when the recording is fitted by itself.
+        notes: sentences on the effects that are dated in the recording in which they were found.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Validation:
     before: Metrics
     after: Metrics
     differences: tuple[Moved, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def closed(gap: Gap) -> bool:
