@@ -28,13 +28,19 @@ def on_recording(calibration: Any, data: Any) -> tuple[Any, list[str]]:
 
     Args:
         calibration: a `Calibration`, which calls this; or None.
-        data: a recording; arrays, or a recording where those of the calibration are not known, leave it as it is.
+        data: a recording; for arrays it stays as it is, and for a recording where its own are not known.
     """
     if calibration is None or not isinstance(data, Recording):
         return calibration, []
     notes: list[str] = []
-    dated = any(term.name in DATED for term in calibration.terms)
-    if dated and calibration.fitted_to and first_shared(fingerprint(data), calibration.fitted_to) is None:
+    dated = list(dict.fromkeys(term.name for term in calibration.terms if term.name in DATED))
+    if dated and not calibration.fitted_to:
+        notes = [
+            f"{name}: the calibration does not state the recording in which it was found, outside which its times are "
+            "wrong; diagnose that log again with `magyc-gtsam gap`"
+            for name in dated
+        ]
+    elif dated and first_shared(fingerprint(data), calibration.fitted_to) is None:
         calibration, notes = elsewhere(calibration)
     return calibration, notes + _unknown_channels(data, calibration.terms)
 
