@@ -17,6 +17,7 @@ from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.many.one_log import Test as OneTest
 from magyc_gtsam.gap.many.weighing import mixture, weigh
 from magyc_gtsam.io import write_mcap
+from magyc_gtsam.recording.applied import CALIBRATED, as_calibrated
 
 LOGS = 10
 
@@ -172,3 +173,10 @@ def test_what_is_missing_is_in_no_calibration_that_is_trusted() -> None:
     assert gap.verdict == "unknown"
     assert not any(calibration.trusted for calibration in gap.calibrations.values())
     assert all("is missing" in calibration.message for calibration in gap.calibrations.values())
+
+
+def test_a_log_that_is_calibrated_already_is_left_out() -> None:
+    logs = [mg.simulate("wide", 60, seed=seed).recording for seed in (1, 2, 3)]
+    gap = mg.find_gap([logs[0], as_calibrated(logs[1]), logs[2]], candidates=["timing"])
+    assert [own.sentence for own in gap.own] == [CALIBRATED]
+    assert all(len(calibration.fitted_to) == 1 for calibration in gap.calibrations.values())

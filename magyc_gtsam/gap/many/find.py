@@ -25,6 +25,7 @@ from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.verdict import among, missing
 from magyc_gtsam.gap.result import Doubt
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
 
@@ -95,6 +96,9 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
             own.append(LogLeftOut(called, f"the same samples as {known[first]}, which count once"))
             continue
         known[samples] = called
+        if is_calibrated(recording):
+            own.append(LogLeftOut(called, CALIBRATED))
+            continue
         try:
             logs.append(OneLog.of(recording, names, called))
         except MagycError as problem:
@@ -282,4 +286,5 @@ def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
 def _calibration(log: OneLog) -> Calibration:
     """Return the calibration with the effects as terms; covariance and verdict include the remaining misfit."""
     fitted = widened(refit(log.refitted.twin.problem, log.refitted.model, log.short_term))
-    return judged(as_calibration(fitted, None), fitted, log.recording, None)[0]
+    found = judged(as_calibration(fitted, None), fitted, log.recording, None)[0]
+    return replace(found, diagnostics={**found.diagnostics, "recordings": [fingerprint(log.recording)]})
