@@ -155,6 +155,52 @@ def test_a_log_that_cannot_be_read_says_why(served: Served, visit: Callable[...,
     page.locator("#remove").click()
 
 
+def shown(page: Any) -> dict[str, str]:
+    """What the page's address says is looked at."""
+    return dict(page.evaluate("Object.fromEntries(new URLSearchParams(location.hash.slice(1)))"))
+
+
+def test_only_the_page_that_started_a_job_opens_its_result(
+    served: Served, visit: Callable[..., Any], tmp_path: Path
+) -> None:
+    """The result is closed where another log is opened, and Back leads to it again."""
+    page, other = visit(served), visit(served)
+    file = table(tmp_path / "own.csv")
+    page.set_input_files("#files", str(file))
+    page.locator("#result header.good").wait_for()
+    key = shown(page)["result"]
+    other.wait_for_function("key => listed.some((job) => job.result === key && job.state === 'done')", arg=key)
+    assert other.locator("#result").is_hidden()
+    assert "result" not in shown(other)
+
+    page.set_input_files("#files", {"name": "note.txt", "mimeType": "text/plain", "buffer": b"hello\n1, 2\n"})
+    page.locator("#holds", has_text="cannot be read").wait_for()
+    assert page.locator("#result").is_hidden()
+    assert "result" not in shown(page)
+    page.locator("#remove").click()
+    page.locator("#log").wait_for(state="hidden")
+    while "result" not in shown(page):
+        page.go_back()
+    page.locator("#result .origin", has_text=file.name).wait_for()
+    page.locator("#log h2", has_text=file.name).wait_for()
+
+
+def test_the_end_of_a_job_is_shown_that_is_told_before_its_key(served: Served, visit: Callable[..., Any]) -> None:
+    """The events of a server and its answers to requests are not in order."""
+    page = visit(served)
+
+    def late(route: Any) -> None:
+        answer = route.fetch()
+        served.ended(answer.json()["key"])
+        page.wait_for_timeout(300)  # until the page has been told
+        route.fulfill(response=answer)
+
+    page.route("**/api/jobs", late)
+    page.set_input_files("#files", {"name": "late.txt", "mimeType": "text/plain", "buffer": b"hello\n1, 2\n"})
+    page.locator("#holds", has_text="cannot be read").wait_for()
+    page.locator("#remove").click()
+
+
 def test_reload_and_a_killed_server_in_the_middle(tmp_path: Path, visit: Callable[..., Any]) -> None:
     """The job is there after a reload; where the server is killed, the page finds the next one, and what was made."""
     shutil.copy(DIVE, tmp_path)

@@ -3,7 +3,9 @@
 
 const known = { logs: [], results: [] };
 let log = null; // the one that is looked at
-const mine = new Set(); // jobs that this page has started
+// Jobs that this page has started and whose end it has not shown; a reload keeps them.
+const mine = new Set(JSON.parse(sessionStorage.getItem("jobs") || "[]"));
+let listed = []; // the jobs of all pages, as last told
 const RUNS = { look: "Looking at", calibrate: "Calibrating from", gap: "Gap of", compare: "Comparing on", history: "History of" };
 
 function drawLogs() {
@@ -22,10 +24,18 @@ function drawSeveral() {
   $("#several button").textContent = `History of these ${count} logs`;
 }
 
-function open(each, again = false) {
+/** Look at a log; the result of another is closed. */
+function open(each) {
+  const other = !log || log.key !== each.key;
+  if (other) $("#result").hidden = true;
+  go({ log: each.key, ...(other ? { result: "" } : {}) });
+  showLog(each);
+  $("#log").scrollIntoView({ block: "start" });
+}
+
+function showLog(each) {
   const same = log && log.key === each.key;
   log = each;
-  go({ log: each.key });
   $("#log").hidden = false;
   $("#log h2").textContent = each.name;
   $("#remove").hidden = !each.uploaded;
@@ -36,8 +46,12 @@ function open(each, again = false) {
     for (const field of document.querySelectorAll("#reading [name]")) field.value = "";
   }
   run("look");
-  if (!again) $("#log").scrollIntoView({ block: "start" });
   drawCommand();
+}
+
+function closeLog() {
+  log = null;
+  $("#log").hidden = true;
 }
 
 const reading = () => Object.fromEntries([...document.querySelectorAll("#reading [name]")].map((field) => [field.name, field.value.trim()]).filter(([, value]) => value));
@@ -48,7 +62,8 @@ async function run(kind, logs = [log.key]) {
   if (kind !== "look" && kind !== "history" && strip.asked) Object.assign(asked, { start: strip.start, end: strip.end });
   const job = await ask("/api/jobs", { body: asked });
   mine.add(job.key);
-  return job;
+  keepMine();
+  await showEnded(); // its end may have been told before its key
 }
 
 function drawCommand() {
@@ -78,11 +93,13 @@ function drawLook(found) {
   drawStrip(found.strip || null);
 }
 
-const drawn_jobs = new Map(); // key → state that was handled
+const active = (job) => ["waiting", "running"].includes(job.state);
+const keepMine = () => sessionStorage.setItem("jobs", JSON.stringify([...mine]));
 
-/** Rows of the jobs that run, wait, or failed here; what has ended is looked at. */
+/** Rows of the jobs that run or wait; what has ended and was started here is looked at. */
 async function drawJobs({ jobs }) {
-  const shown = jobs.filter((job) => ["waiting", "running"].includes(job.state) && (job.kind !== "look" || job.left_s > 1));
+  listed = jobs;
+  const shown = jobs.filter((job) => active(job) && (job.kind !== "look" || job.left_s > 1));
   $("#jobs").hidden = !shown.length;
   $("#jobs").replaceChildren(...shown.map((job) => {
     const share = job.state === "running" && job.share > 0 ? Math.round(100 * job.share) : null;
@@ -92,11 +109,13 @@ async function drawJobs({ jobs }) {
       element("button", { type: "button", textContent: "Cancel", onclick: () => ask(`/api/jobs/${job.key}`, { method: "DELETE" }) }),
       element("progress", { max: 100, ...(share === null ? {} : { value: share }) }));
   }));
-  for (const job of jobs.slice().reverse()) {
-    const before = drawn_jobs.get(job.key);
-    if (before === job.state) continue;
-    drawn_jobs.set(job.key, job.state);
-    if (["waiting", "running"].includes(job.state) || (before === undefined && !mine.has(job.key))) continue;
+  await showEnded();
+}
+
+async function showEnded() {
+  for (const job of listed.slice().reverse()) {
+    if (active(job) || !mine.delete(job.key)) continue;
+    keepMine();
     await ended(job);
   }
 }
@@ -151,8 +170,7 @@ $("#several button").addEventListener("click", () => run("history", chosen_logs(
 $("#again").addEventListener("click", () => run("look"));
 $("#remove").addEventListener("click", async () => {
   await ask(`/api/logs/${log.key}`, { method: "DELETE" });
-  log = null;
-  $("#log").hidden = true;
+  closeLog();
   go({ log: "" });
   await refresh();
 });

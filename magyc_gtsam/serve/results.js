@@ -40,16 +40,26 @@ const asDoneHere = (text) => text.replace("run `magyc-gtsam gap`", "press Gap").
 /** With a capital and a full stop. */
 const asSentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.` : "");
 
-async function openResult(key, scroll = true) {
-  const found = await ask(`/api/results/${key}`);
+async function openResult(key) {
+  await showResult(key);
   go({ result: key });
+  $("#result").scrollIntoView({ block: "start" });
+}
+
+function closeResult() {
+  $("#result").hidden = true;
+  go({ result: "" });
+}
+
+async function showResult(key) {
+  const found = await ask(`/api/results/${key}`);
   const [title, ...rest] = asDoneHere(found.sentence || "Done").replace(/^[✔✘] /, "").split(": ");
   const interval = found.interval ? `, ${found.interval[0] ?? "start"} to ${found.interval[1] ?? "end"} s` : "";
   const head = element("header", { className: found.trusted ? "good" : found.trusted === false ? "bad" : "" }, element("h1", { textContent: title }), element("p", { textContent: asSentence(rest.join(": ")) }),
     element("p", { className: "soft origin", textContent: `${found.logs || key}${interval} · ${KINDS[found.kind]} · ${new Date(found.time * 1000).toLocaleString()}` }));
   const actions = element("div", { className: "actions" },
     found.page ? element("a", { className: "button main", href: `/results/${key}/report.html`, target: "_blank", rel: "noopener", textContent: "Open the report" }) : null,
-    element("button", { type: "button", className: "quiet", textContent: "Close", onclick: () => { $("#result").hidden = true; go({ result: "" }); } }));
+    element("button", { type: "button", className: "quiet", textContent: "Close", onclick: closeResult }));
   const listed = new Set(found.exports.map((each) => each.file));
   const others = found.files.filter((file) => !listed.has(file) && file !== "report.html" && file !== "serve.json");
   const texts = found.exports.length || others.length ? element("section", {}, element("h2", { textContent: found.exports.length ? "To copy" : "Files" }), ...found.exports.map((each) => exported(key, each)),
@@ -57,5 +67,4 @@ async function openResult(key, scroll = true) {
   const numbers = found.rows.length ? element("section", {}, element("h2", { textContent: "Parameters" }), ...parameters(found.rows)) : null;
   $("#result").replaceChildren(head, actions, ...[numbers, texts].filter(Boolean));
   $("#result").hidden = false;
-  if (scroll) $("#result").scrollIntoView({ block: "start" });
 }

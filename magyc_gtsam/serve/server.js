@@ -104,5 +104,6 @@ function show(tab) {
 const place = () => Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
 function go(where) {
   const kept = Object.fromEntries(Object.entries({ ...place(), ...where }).filter(([, value]) => value));
-  history.replaceState(null, "", `${location.pathname}${location.search}#${new URLSearchParams(kept)}`);
+  const address = `#${new URLSearchParams(kept)}`;
+  if (address !== (location.hash || "#")) history.pushState(null, "", `${location.pathname}${location.search}${address}`);
 }
