@@ -201,6 +201,31 @@ def test_the_end_of_a_job_is_shown_that_is_told_before_its_key(served: Served, v
     page.locator("#remove").click()
 
 
+def test_the_layer_for_dragging_fits_the_charts_after_a_rotation(
+    tmp_path: Path, visit: Callable[..., Any]
+) -> None:
+    shutil.copy(DIVE, tmp_path)
+    server = Served(tmp_path)
+    try:
+        page = visit(server, 1300)
+        page.locator("#logs button").click()
+        page.locator("#layer").wait_for()
+        before = None
+        for width in (1300, 700, 400, 900):
+            page.set_viewport_size({"width": width, "height": 850})
+            plot = "strip.charts[0].figure.plot"
+            page.wait_for_function(f"width => {plot} && {plot}.width !== width", arg=before)
+            before = page.evaluate(f"{plot}.width")
+            page.wait_for_timeout(200)  # the layer follows by itself
+            layer, chart = page.evaluate(
+                f"[$('#layer'), {plot}.over].map((each) => each.getBoundingClientRect()).map((b) => [b.left, b.right])"
+            )
+            np.testing.assert_allclose(layer, chart, atol=1.0)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+    finally:
+        server.stop()
+
+
 def test_reload_and_a_killed_server_in_the_middle(tmp_path: Path, visit: Callable[..., Any]) -> None:
     """The job is there after a reload; where the server is killed, the page finds the next one, and what was made."""
     shutil.copy(DIVE, tmp_path)

@@ -28,6 +28,7 @@ function drawStrip(found) {
       x: packed(steps.time), divide: minutes ? 60 : 1, xlabel: k === rows.length - 1 ? (minutes ? "Time (min)" : "Time (s)") : "", ylabel: "", height: k === rows.length - 1 ? 190 : 160,
       xlim: [found.start, found.end], series: [{ label: title, colour, y: packed(steps.mean), low: packed(steps.low), high: packed(steps.high) }],
     });
+    figure.plot.hooks.draw.push(placeLayer); // uPlot applies a size later than it is set
     strip.charts.push({ figure, drawn });
   });
   frame.append(layer());
@@ -107,7 +108,6 @@ new ResizeObserver(() => {
     const width = figure.querySelector(".plot").clientWidth;
     if (width) drawn.resize(width);
   }
-  placeLayer();
 }).observe($("#strip-charts"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => strip.charts.forEach(({ drawn }) => drawn.redraw()));
 for (const name of ["start", "end"]) {
