@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
@@ -22,9 +23,16 @@ from mcap.writer import Writer as McapWriter
 
 import magyc_gtsam as mg
 from magyc_gtsam import MagycError, cli
+from magyc_gtsam.cli import online_text
+from magyc_gtsam.cli.online_feed import Feed
 from magyc_gtsam.cli.online_session import judged_online
 from magyc_gtsam.io import write_mcap
+from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import definition, encode
+from magyc_gtsam.live.address import open_source
+from magyc_gtsam.live.health import StreamMonitor
+from magyc_gtsam.live.source import NewSamples
+from magyc_gtsam.recording import Samples
 from magyc_gtsam.simulation import simulate
 
 EPOCH = 1_620_000_000_000_000_000
@@ -207,11 +215,78 @@ def test_stopped_while_the_file_grows_and_gone_on_with(
 def test_a_state_that_holds_all_of_the_file(
     log: Path, expected: mg.Calibration, tmp_path: Path, inside: Callable[..., tuple[int, str]]
 ) -> None:
-    code, _ = inside(log, *IFG, "--state", "run.state", "--quiet")
-    again, errors = inside(log, "--state", "run.state", "--quiet")
-    assert again == code
-    assert "all 4800 samples were in the saved state already; if this is another log" in errors
+    assert inside(log, *IFG, "--state", "run.state", "--quiet")[0] == 0
+    code, errors = inside(log, "--state", "run.state", "--quiet")
+    assert code == 1
+    assert "none of the 4800 samples is used: their stamps lie before the end of the saved state" in errors
     same(tmp_path / "online-calibration.yaml", expected)
+
+
+def test_stamps_before_the_saved_state_are_told_in_every_report(simulation: mg.Simulation, tmp_path: Path) -> None:
+    """A sensor that was switched off counts from 0 again."""
+    lines = json_lines(simulation.recording)
+    arguments = ("online", "-", "--magnetic-unit", "gauss", "--state", "s")
+    assert installed(*arguments, *IFG, "--quiet", cwd=tmp_path, stdin="\n".join(lines)).returncode == 0
+    finished = installed(*arguments, "--json", cwd=tmp_path, stdin="\n".join(lines[:300]))
+    last = json.loads(finished.stdout.splitlines()[-1])
+    assert finished.returncode == last["exit_code"] == 1
+    assert not last["converged"]
+    assert last["left_out"] == 600
+    assert last["sentence"] == (
+        "none of the 600 samples is used: their stamps lie before the end of the saved state (119.950 s); "
+        "if this is another log or clock, begin a new --state"
+    )
+    assert last["sentence"] in finished.stderr
+
+    feed = Feed(mg.OnlineCalibrator.load(tmp_path / "s"))
+    source = open_source("-", Request())
+    assert "600 left out" not in online_text.line(feed, source, StreamMonitor().health)
+    at = simulation.recording
+    assert at.angular_rate is not None
+    for shift in (0.0, 119.0, 0.0):  # the second has one second that is new
+        stamps = at.time[:400] + shift
+        feed.take(NewSamples(Samples(stamps, at.magnetic_field[:400]), Samples(stamps, at.angular_rate[:400])))
+        report = online_text.line(feed, source, StreamMonitor().health)
+        assert ("lie before the end of the saved state" in report) == (shift == 0.0)
+    assert "the last 800 samples are not used" in report
+    assert "800 left out" in report
+
+
+def test_a_clock_that_goes_back_ends_the_run_with_the_result_before(
+    simulation: mg.Simulation, tmp_path: Path
+) -> None:
+    lines = json_lines(simulation.recording)
+    finished = installed(
+        "online", "-", *IFG, "--magnetic-unit", "gauss", cwd=tmp_path, stdin="\n".join([*lines, *lines[:1000]])
+    )
+    assert finished.returncode == 0, finished.stderr
+    assert "standard input: 120.0 s, magyc-ifg; a clock went back" in finished.stdout
+    assert "Hard iron (µT)" in finished.stdout
+    assert finished.stderr == (
+        "magyc-gtsam: magnetic_field: time goes back from 119.950 to 0.250 s and stays there; if a clock was set, keep "
+        "the calibration so far and start a new run without the saved state (give it another -o)\n"
+    )
+    found = mg.Calibration.load(tmp_path / "online-calibration.yaml")
+    direct = mg.OnlineCalibrator("magyc-ifg", estimate="current")
+    at = simulation.recording
+    direct.update(at.time, at.magnetic_field, at.angular_rate)
+    np.testing.assert_allclose(found.hard_iron, direct.calibration.hard_iron, atol=1e-12)
+
+
+def test_a_state_that_cannot_be_written_costs_nothing_else(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: object, path: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(mg.OnlineCalibrator, "save", full)
+    finished = run("online", log, *IFG, "--state", "run.state", cwd=tmp_path)
+    assert finished.returncode == 2
+    assert "Hard iron (µT)" in finished.stdout
+    assert "calibration: online-calibration.yaml" in finished.stdout
+    assert "state: " not in finished.stdout
+    assert "not written: run.state: No space left on device; check the path" in finished.stderr.splitlines()[-1]
+    assert mg.Calibration.load(tmp_path / "online-calibration.yaml").trusted
 
 
 def test_interrupted_before_there_is_a_calibration(log: Path, tmp_path: Path) -> None:

@@ -91,10 +91,11 @@ def run(
     """Calibrate while the vehicle moves.
 
     Stops at the end of the file or input, after --idle seconds without new data, or with Ctrl-C. The calibration is
-    written at the end and with every report. Exit code 0: converged; 1: the result must not be trusted yet, and the
-    reason is printed; 130: interrupted before a first result.
+    written at the end and with every report. Exit code 0: converged; 1: the result must not be trusted yet, or no
+    sample of this run was used, and the reason is printed; 130: interrupted before a first result.
     """
     from magyc_gtsam.cli.known import beforehand
+    from magyc_gtsam.cli.online_feed import Feed
     from magyc_gtsam.cli.online_session import Session
     from magyc_gtsam.cli.online_view import view
     from magyc_gtsam.io.request import Request
@@ -117,16 +118,14 @@ def run(
     options["angular_rate_is"] = angular_rate_is
     options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
     options |= beforehand(misalignment, prior, hard_iron_walk)
-    online = _calibrator(state, method, options)
+    feed = Feed(_calibrator(state, method, options), axes)
     if idle is None and is_file(log):
         idle = _FILE_IDLE
     with (
         closing(open_source(log, request)) as source,
-        view(source, online, quiet=quiet, json=json, picture=picture) as shown,
+        view(source, feed, quiet=quiet, json=json, picture=picture) as shown,
     ):
-        session = Session(
-            source, online, output=output, state=state, every=every, idle=idle, axes=axes, view=shown
-        )
+        session = Session(source, feed, output=output, state=state, every=every, idle=idle, view=shown)
         session.run()
     return shown.conclude(session)
 

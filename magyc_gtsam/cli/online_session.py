@@ -8,16 +8,15 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
 from magyc_gtsam.cli.files import refuse_unwritable
-from magyc_gtsam.cli.interrupts import noted_interrupts
+from magyc_gtsam.cli.interrupts import explained, noted_interrupts
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.live.source import LiveSource, NewSamples
-from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.online.intake import ClockSetBack
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.cli.online_feed import Feed
     from magyc_gtsam.online import OnlineCalibrator
 
 _WAIT = 0.2  # s that reading may wait, and so the delay until an interrupt is noticed
@@ -29,6 +28,7 @@ class EndReason(str, Enum):
     COMPLETE = "the input is complete"
     IDLE = "no new data"
     INTERRUPTED = "interrupted"
+    CLOCK = "a clock went back"
 
     __str__ = str.__str__
 
@@ -54,38 +54,40 @@ class Session:
 
     Args:
         source: where the samples come from.
-        online: the calibrator.
+        feed: takes the samples to the calibrator.
         output: file of the calibration.
         state: file of the state; None for none.
         every: s between two writes of the files.
         idle: s without new data after which the run ends; None for no limit.
-        axes: (3, 3) from the gyroscope's axes to the magnetometer's.
         view: the display.
+
+    Attributes:
+        end: why the run has ended.
+        problem: why no further samples could be taken; "" if they could.
+        unwritten: the files that could not be written at the end, and why.
     """
 
     def __init__(
         self,
         source: LiveSource,
-        online: OnlineCalibrator,
+        feed: Feed,
         *,
         output: Path,
         state: Path | None,
         every: float,
         idle: float | None,
-        axes: Array | None,
         view: RunView,
     ) -> None:
-        self.source, self.online, self.output, self.state = source, online, output, state
-        self.end = EndReason.COMPLETE
-        self.skipped = self.taken = 0
-        self._every, self._idle, self._axes, self._view = every, idle, axes, view
-        self._until = online.taken_until  # the last stamps that an earlier run has used
+        self.source, self.feed, self.output, self.state = source, feed, output, state
+        self.end, self.problem = EndReason.COMPLETE, ""
+        self.unwritten: dict[Path, Exception] = {}
+        self._every, self._idle, self._view = every, idle, view
 
     def run(self) -> None:
         """Run until the source ends or is idle for too long, or an interrupt; the files are written in any case.
 
         Raises:
-            MagycError: the source cannot be read, its clock went back, or a file cannot be written.
+            MagycError: the source cannot be read, a unit is wrong, or a file cannot be written before the run.
         """
         for file in (self.output, self.state):
             if file is not None:
@@ -93,11 +95,25 @@ class Session:
         with noted_interrupts() as interrupts:
             try:
                 self._loop(interrupts)
-            finally:
-                try:
-                    self._show_notes()
-                finally:  # also if standard output is closed
-                    self.write()
+            except ClockSetBack as problem:
+                self.end, self.problem = EndReason.CLOCK, str(problem)
+                self._finish()
+            except BaseException:
+                self._finish()
+                self._say_unwritten()
+                raise
+            else:
+                self._finish()
+
+    def _finish(self) -> None:
+        try:
+            self._show_notes()
+        finally:  # also if standard output is closed
+            self.unwritten = self.write()
+
+    def _say_unwritten(self) -> None:
+        for problem in self.unwritten.values():
+            self._view.say(f"not written: {explained(problem)}")
 
     def _loop(self, interrupts: list[int]) -> None:
         received, grown = -1, time.monotonic()
@@ -106,7 +122,7 @@ class Session:
             batch = self.source.read(_WAIT)
             self._show_notes()
             self._view.take(batch)
-            self._take(batch)
+            self.feed.take(batch)
             self._view.refresh()
             now = time.monotonic()
             if self.source.received != received:
@@ -120,32 +136,10 @@ class Session:
                 self.end = EndReason.IDLE
                 return
             if now - written >= self._every:
-                try:
-                    self.write()
-                except (OSError, MagycError) as problem:  # a full disk may have space at the next write
-                    self._view.say(f"not written: {problem}")
+                self.unwritten = self.write()  # a full disk may have space at the next write
+                self._say_unwritten()
                 self._view.report()
                 written = time.monotonic()
-
-    def _take(self, batch: NewSamples) -> None:
-        """Give the new samples of both sensors to the calibrator in one call, so that neither is ahead by a batch."""
-        magnetometer, gyroscope = (
-            Samples(samples.time[new], samples.value[new])
-            for samples, until in zip(batch, self._until, strict=True)
-            for new in (samples.time > until,)
-        )
-        count = len(magnetometer.time) + len(gyroscope.time)
-        self.skipped += sum(len(samples.time) for samples in batch) - count
-        self.taken += count
-        if not count:
-            return
-        rate = gyroscope.value if self._axes is None else gyroscope.value @ self._axes.T
-        absent = np.full((len(magnetometer.time), 3), np.nan), np.full((len(gyroscope.time), 3), np.nan)
-        self.online.update(
-            np.concatenate([magnetometer.time, gyroscope.time]),
-            np.vstack([magnetometer.value, absent[1]]),
-            np.vstack([absent[0], rate]),
-        )
 
     def _show_notes(self) -> None:
         """Pass the notes of the source to the display."""
@@ -154,17 +148,29 @@ class Session:
         for note in notes:
             self._view.say(note)
 
-    def write(self) -> None:
-        """Write the state, the calibration, and the one before each change of the hard iron, each file in one step."""
-        if self.state is not None:
-            self.online.save(self.state)
-        calibration = judged_online(self.online)
-        if calibration is not None:
-            calibration.save(self.output)
-        for number, change in enumerate(self.online.changes, 1):
-            file = self.output.with_name(f"{self.output.stem}-before-change-{number}{self.output.suffix}")
+    def write(self) -> dict[Path, Exception]:
+        """Write the calibration, the one before each change of the hard iron, and the state, each file in one step.
+
+        Returns:
+            The files that could not be written, and why; one does not keep the others from being written.
+        """
+        online = self.feed.online
+        calibration = judged_online(online)
+        results = {} if calibration is None else {self.output: calibration}
+        for number, change in enumerate(online.changes, 1):
             if change.before is not None:
-                change.before.save(file)
+                file = self.output.with_name(f"{self.output.stem}-before-change-{number}{self.output.suffix}")
+                results[file] = change.before
+        saves = [(file, result.save) for file, result in results.items()]
+        if self.state is not None:
+            saves.append((self.state, online.save))
+        unwritten: dict[Path, Exception] = {}
+        for file, save in saves:
+            try:
+                save(file)
+            except (OSError, MagycError) as problem:
+                unwritten[file] = problem
+        return unwritten
 
 
 def judged_online(online: OnlineCalibrator) -> Calibration | None:

@@ -13,15 +13,17 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.cli.online_feed import Feed
     from magyc_gtsam.live.source import LiveSource
     from magyc_gtsam.online import Change, OnlineCalibrator
 
 _BAR = 24  # characters
 
 
-def line(online: OnlineCalibrator, source: LiveSource, health: StreamHealth) -> str:
+def line(feed: Feed, source: LiveSource, health: StreamHealth) -> str:
     """Return the state of a run in one line."""
-    progress, calibration = online.progress, online.calibration
+    online, progress = feed.online, feed.progress
+    calibration = online.calibration
     parts = [f"{progress.duration:8.1f} s"]
     if calibration is not None:
         parts += [f"hard iron {hard_iron_text(calibration)} µT", f"coverage {progress.coverage:.0%}"]
@@ -64,13 +66,14 @@ def counted_from(calibration: Calibration, first: float) -> Calibration:
     return replace(calibration, diagnostics={**calibration.diagnostics, "disturbed": disturbed})
 
 
-def panel(online: OnlineCalibrator, source: LiveSource, health: StreamHealth, written: str) -> RenderableType:
+def panel(feed: Feed, source: LiveSource, health: StreamHealth, written: str) -> RenderableType:
     """Return the live view: head, source, parameters, coverage, verdict, weaknesses and changes."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
-    progress, calibration = online.progress, online.calibration
+    online, progress = feed.online, feed.progress
+    calibration = online.calibration
     head = [source.name, online.method, f"{progress.duration:.1f} s", f"{progress.windows} windows"]
     if progress.left_out:
         head.append(f"{progress.left_out} left out")

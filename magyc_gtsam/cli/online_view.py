@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.online_session import EndReason, Session, judged_online
 from magyc_gtsam.cli.online_text import change_sentence, counted_from, first_stamp, left_out_sentence, line, panel
 from magyc_gtsam.cli.terminal import complain, concluded, console, show, show_calibration
@@ -21,8 +22,8 @@ from magyc_gtsam.report.words import parameter_rows
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.cli.online_feed import Feed
     from magyc_gtsam.live.source import LiveSource, NewSamples
-    from magyc_gtsam.online import OnlineCalibrator
     from magyc_gtsam.report.verdict import Verdict
 
 # Between two updates of the display pass at least this time (s), and this many times the duration of an update.
@@ -35,8 +36,8 @@ _INTERRUPTED = 130
 class QuietView:
     """A display of only the omitted data, and of the reason for a result that must not be trusted."""
 
-    def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
-        self.source, self.online = source, online
+    def __init__(self, source: LiveSource, feed: Feed) -> None:
+        self.source, self.feed, self.online = source, feed, feed.online
         self.monitor = StreamMonitor()
         self._notes = 0
 
@@ -63,15 +64,26 @@ class QuietView:
     def conclude(self, session: Session) -> int:
         """Show the result and return the exit code.
 
-        It is 0 if the calibration converged, 1 if not, 130 after an interrupt before a first result; missing topics
-        raise a MagycError (2).
+        It is 0 if the calibration converged, 1 if not or if no sample of this run was used, 2 if a file could not be
+        written or a topic is missing, 130 after an interrupt before a first result.
         """
         if self._notes > _NOTES:
             self.complain(f"{self._notes - _NOTES} more notes like these")
-        if session.skipped:
-            every = "" if session.taken else "all "
-            hint = "" if session.taken else "; if this is another log with another clock, begin a new --state"
-            self.complain(f"{every}{session.skipped} samples were in the saved state already{hint}")
+        code = self._conclude(session)
+        feed = self.feed
+        if feed.unused:
+            self.complain(feed.before_state)
+        elif feed.skipped:
+            self.complain(f"{feed.skipped} samples were in the saved state already")
+        if session.problem:
+            files = "another -o" if session.state is None else "another -o and --state"
+            self.complain(f"{session.problem} (give it {files})")
+        for problem in session.unwritten.values():
+            self.complain(f"not written: {explained(problem)}")
+        return 2 if session.unwritten else code or int(feed.nothing_new)
+
+    def _conclude(self, session: Session) -> int:
+        """Show the result, and return the exit code for it."""
         from magyc_gtsam.report.verdict import judged
 
         calibration = judged_online(self.online)
@@ -86,9 +98,8 @@ class QuietView:
             self.complain("interrupted before there was a calibration")
             return _INTERRUPTED
         if self.source.waiting_for:
-            from magyc_gtsam.factors.errors import MagycError
-
-            raise MagycError(f"{self.source.name}: {self.source.waiting_for}")
+            complain(f"{self.source.name}: {self.source.waiting_for}")
+            return 2
         self.complain(f"no calibration: {self.online.progress.sentence}")
         return 1
 
@@ -102,33 +113,34 @@ class PlainView(QuietView):
 
     def report(self) -> None:
         """Print the state in one line."""
-        show(line(self.online, self.source, self.monitor.health))
+        show(line(self.feed, self.source, self.monitor.health))
 
     def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:
         """Show the result, without numbers if it must not be trusted."""
         progress = self.online.progress
         show(
             verdict.sentence,
-            f"{self.source.name}: {progress.duration:.1f} s, {calibration.method}; {session.end}",
+            f"{self.source.name}: {progress.duration:.1f} s, {calibration.method}; {session.end}"
+            + ("; all samples are from the saved state" if self.feed.nothing_new else ""),
             "",
         )
         if verdict.trusted:
             show_calibration(counted_from(calibration, first_stamp(self.online)))
         show(*left_out_sentence(self.online.progress.left_out))
         show(*(change_sentence(change, self.online) for change in self.online.changes))
-        show("", f"calibration: {session.output}")
-        if session.state is not None:
-            show(f"state: {session.state}")
+        files = {"calibration": session.output, "state": session.state}
+        written = (f"{what}: {file}" for what, file in files.items() if file not in {None, *session.unwritten})
+        show("", *written)
         return True
 
 
 class LiveView(PlainView):
     """A display on a terminal that is redrawn in place."""
 
-    def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
+    def __init__(self, source: LiveSource, feed: Feed) -> None:
         from rich.live import Live as Screen
 
-        super().__init__(source, online)
+        super().__init__(source, feed)
         self._console = console()
         self._screen = Screen(console=self._console, auto_refresh=False, transient=True)
         self._next, self._written = 0.0, ""
@@ -139,7 +151,7 @@ class LiveView(PlainView):
         began = time.monotonic()
         if began < self._next:
             return
-        shown = panel(self.online, self.source, self.monitor.health, self._written)
+        shown = panel(self.feed, self.source, self.monitor.health, self._written)
         self._screen.update(shown, refresh=True)
         ended = time.monotonic()
         self._next = ended + max(_REFRESH, _PAUSE_FACTOR * (ended - began))
@@ -163,14 +175,14 @@ class JsonView(QuietView):
 
     Args:
         source: the source.
-        online: the calibrator.
+        feed: takes the samples to the calibrator.
         every: s between additional lines with the picture; None for none.
     """
 
-    def __init__(self, source: LiveSource, online: OnlineCalibrator, every: float | None = None) -> None:
-        super().__init__(source, online)
+    def __init__(self, source: LiveSource, feed: Feed, every: float | None = None) -> None:
+        super().__init__(source, feed)
         self._every, self._next = every, 0.0
-        self._picture = None if every is None else Picture(online)
+        self._picture = None if every is None else Picture(feed.online)
 
     def take(self, batch: NewSamples) -> None:
         """Update the health of the source and the picture."""
@@ -194,12 +206,18 @@ class JsonView(QuietView):
     def conclude(self, session: Session) -> int:
         """Print the final line, and return the exit code of `QuietView.conclude`."""
         code = super().conclude(session)
-        final = {"final": True, "end": str(session.end), "exit_code": code, "output": str(session.output)}
+        final = {
+            "final": True,
+            "end": str(session.end),
+            "problem": session.problem,
+            "exit_code": code,
+            "output": str(session.output),
+        }
         _write_line(self._values() | final)
         return code
 
     def _values(self) -> dict[str, Any]:
-        progress, calibration = self.online.progress, self.online.calibration
+        progress, calibration = self.feed.progress, self.online.calibration
         drawn: dict[str, Any] = {} if self._picture is None else {"picture": self._picture.to_dict(calibration)}
         if calibration is not None and self._picture is not None:
             drawn["rows"] = [[name, *values] for name, values in parameter_rows(calibration)]
@@ -230,18 +248,16 @@ class JsonView(QuietView):
 
 
 @contextmanager
-def view(
-    source: LiveSource, online: OnlineCalibrator, *, quiet: bool, json: bool, picture: float | None
-) -> Iterator[QuietView]:
+def view(source: LiveSource, feed: Feed, *, quiet: bool, json: bool, picture: float | None) -> Iterator[QuietView]:
     """Yield the display for the options and the terminal."""
     if json:
-        yield JsonView(source, online, picture)
+        yield JsonView(source, feed, picture)
     elif quiet:
-        yield QuietView(source, online)
+        yield QuietView(source, feed)
     elif not console().is_terminal:
-        yield PlainView(source, online)
+        yield PlainView(source, feed)
     else:
-        live = LiveView(source, online)
+        live = LiveView(source, feed)
         try:
             yield live
         finally:

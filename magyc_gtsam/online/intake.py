@@ -23,6 +23,10 @@ _NAMES = ("magnetic_field", "angular_rate")
 _UNITS = ("magnetic_unit", "T", _FIELD_LIMIT), ("angular_unit", "rad/s", _RATE_LIMIT)
 
 
+class ClockSetBack(MagycError):
+    """The stamps of a sensor went back and stay there."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Stream:
     """What is known of the samples of one sensor.
@@ -95,9 +99,9 @@ class _Stream:
         run = place - since
         if run.max() > _CONFIRMED_BY:
             row = int((run > _CONFIRMED_BY).argmax())
-            raise MagycError(
+            raise ClockSetBack(
                 f"{self.name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s and stays there; "
-                "if a clock was set, save the calibration and start a new run"
+                "if a clock was set, keep the calibration so far and start a new run without the saved state"
             )
         return rows[when > before], int(run[-1])
 

@@ -1,0 +1,111 @@
+"""The samples of a run of `magyc-gtsam online` on their way to the calibrator, which may continue a saved state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from magyc_gtsam.live.source import NewSamples
+from magyc_gtsam.online.intake import ClockSetBack
+from magyc_gtsam.recording import Array, Samples
+
+if TYPE_CHECKING:
+    from magyc_gtsam.online import OnlineCalibrator
+    from magyc_gtsam.online.engine import Progress
+
+_PIECE = (
+    5  # samples of a sensor; a clock that was set back is noticed after more, so the samples before it are taken
+)
+
+
+class Feed:
+    """Gives a calibrator the samples of a source that its saved state does not hold.
+
+    Args:
+        online: the calibrator.
+        axes: (3, 3) from the gyroscope's axes to the magnetometer's; None for the same axes.
+
+    Attributes:
+        taken: number of samples given to the calibrator.
+        skipped: number of samples with stamps that the saved state holds.
+        unused: number of those since the last sample that was given.
+    """
+
+    def __init__(self, online: OnlineCalibrator, axes: Array | None = None) -> None:
+        self.online = online
+        self.taken = self.skipped = self.unused = 0
+        self._axes = axes
+        self._until = online.taken_until  # the last stamps that an earlier run has used
+
+    def take(self, batch: NewSamples) -> None:
+        """Give the new samples of both sensors in one call, so that neither is ahead by a batch.
+
+        Raises:
+            ClockSetBack: a clock was set back; the samples before it are given.
+            MagycError: a unit is wrong.
+        """
+        magnetometer, gyroscope = (
+            Samples(samples.time[new], samples.value[new])
+            for samples, until in zip(batch, self._until, strict=True)
+            for new in (samples.time > until,)
+        )
+        count = len(magnetometer.time) + len(gyroscope.time)
+        skipped = sum(len(samples.time) for samples in batch) - count
+        self.skipped += skipped
+        self.unused = 0 if count else self.unused + skipped
+        self.taken += count
+        if not count:
+            return
+        if self._axes is not None:
+            gyroscope = Samples(gyroscope.time, gyroscope.value @ self._axes.T)
+        try:
+            self._give(magnetometer, gyroscope)
+        except ClockSetBack:
+            pieces = -(-max(len(magnetometer.time), len(gyroscope.time)) // _PIECE)
+            for one, other in zip(_pieces(magnetometer, pieces), _pieces(gyroscope, pieces), strict=True):
+                self._give(one, other)
+
+    def _give(self, magnetometer: Samples, gyroscope: Samples) -> None:
+        absent = np.full((len(magnetometer.time), 3), np.nan), np.full((len(gyroscope.time), 3), np.nan)
+        self.online.update(
+            np.concatenate([magnetometer.time, gyroscope.time]),
+            np.vstack([magnetometer.value, absent[1]]),
+            np.vstack([absent[0], gyroscope.value]),
+        )
+
+    @property
+    def nothing_new(self) -> bool:
+        """Whether samples have come and the saved state holds the stamps of all of them."""
+        return bool(self.skipped) and not self.taken
+
+    @property
+    def before_state(self) -> str:
+        """Why the present samples are not used, and the remedy; "" if they are used."""
+        if not self.unused:
+            return ""
+        which = (
+            f"none of the {self.unused} samples is"
+            if self.nothing_new
+            else f"the last {self.unused} samples are not"
+        )
+        return (
+            f"{which} used: their stamps lie before the end of the saved state "
+            f"({max(self._until):.3f} s); if this is another log or clock, begin a new --state"
+        )
+
+    @property
+    def progress(self) -> Progress:
+        """The calibrator's progress; not converged, with the reason, while the samples are not used."""
+        progress = self.online.progress
+        if not self.unused:
+            return progress
+        left_out = progress.left_out + self.unused
+        return replace(progress, converged=False, sentence=self.before_state, left_out=left_out)
+
+
+def _pieces(samples: Samples, count: int) -> list[Samples]:
+    """Return the samples in `count` consecutive pieces."""
+    times, values = np.array_split(samples.time, count), np.array_split(samples.value, count)
+    return [Samples(time, value) for time, value in zip(times, values, strict=True)]
