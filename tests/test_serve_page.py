@@ -201,6 +201,39 @@ def test_the_end_of_a_job_is_shown_that_is_told_before_its_key(served: Served, v
     page.locator("#remove").click()
 
 
+def test_notes_are_on_the_card_and_a_unit_that_is_taken_back_leaves_no_trace(
+    served: Served, visit: Callable[..., Any]
+) -> None:
+    page = visit(served)
+    cut = {"name": "cut.mcap", "mimeType": "", "buffer": DIVE.read_bytes()[:300_000]}
+    page.set_input_files("#files", cut)
+    page.locator("#result li", has_text="the file is cut off after 300000 bytes").wait_for()
+    page.locator("#layer").wait_for()
+    page.locator("#start").fill("30")
+    page.locator("#start").blur()
+    page.locator("#reading summary").click()
+    before = page.locator("#holds").text_content()
+    page.locator("[name=angular_unit]").select_option("deg/s")
+    page.locator("#holds", has_text="turned by").filter(has_not_text=before).wait_for()
+    assert page.locator("#start").input_value() == "30.0"
+    page.locator("[name=magnetic_unit]").select_option("gauss")
+    page.locator("#holds.caution", has_text="cannot be read").wait_for()
+    page.locator("[name=magnetic_unit]").select_option("")
+    page.locator("#holds.soft", has_text="turned by").wait_for()
+    page.locator("#remove").click()
+
+
+def test_what_only_the_command_line_can_is_said(served: Served, visit: Callable[..., Any]) -> None:
+    page = visit(served)
+    rows = "\n".join(f"{t / 10},1,2,{t},0.1,0.2,0.3" for t in range(100))
+    page.set_input_files("#files", {"name": "bare.csv", "mimeType": "", "buffer": rows.encode()})
+    text = page.locator("#holds", has_text="cannot be read")
+    text.wait_for()
+    assert "--read columns=" in text.text_content()
+    assert text.text_content().endswith("; not all of these options are on this page, use the command line")
+    page.locator("#remove").click()
+
+
 def test_the_layer_for_dragging_fits_the_charts_after_a_rotation(
     tmp_path: Path, visit: Callable[..., Any]
 ) -> None:

@@ -216,7 +216,8 @@ class Server:
     async def result(self, request: Request) -> Response:
         """Return the numbers and texts of a result."""
         folder = self._folder(request)
-        known = {name: value for name, value in self.store.described(folder).items() if value is not None}
+        described = self.store.described(folder) | {"details": self.store.record(folder).get("details")}
+        known = {name: value for name, value in described.items() if value is not None}
         return JSONResponse(await run_in_threadpool(details, folder, known.get("trusted")) | known)
 
     async def file(self, request: Request) -> Response:
@@ -279,11 +280,12 @@ async def _full(request: Request, error: Exception) -> Response:
 
 
 def _verdict(result: Any) -> dict[str, Any]:
-    """Return "sentence" and "trusted" from a command's JSON; None for each that it lacks."""
+    """Return "sentence", "trusted" and "details" from a command's JSON; None for each that it lacks."""
+    names = ("sentence", "trusted", "details")
     if not isinstance(result, dict):
-        return {"sentence": None, "trusted": None}
+        return dict.fromkeys(names)
     for name in ("judgement", "verdict"):  # a gap has a verdict of one word beside its judgement
         judgement = result.get(name)
         if isinstance(judgement, dict):
-            return {"sentence": judgement.get("sentence"), "trusted": judgement.get("trusted")}
-    return {"sentence": result.get("sentence"), "trusted": None}
+            return {name: judgement.get(name) for name in names}
+    return dict.fromkeys(names) | {"sentence": result.get("sentence")}

@@ -56,11 +56,15 @@ function closeLog() {
 
 const reading = () => Object.fromEntries([...document.querySelectorAll("#reading [name]")].map((field) => [field.name, field.value.trim()]).filter(([, value]) => value));
 
+let looking = ""; // the last job that looks at the log; what earlier ones find no longer counts
+
 async function run(kind, logs = [log.key]) {
   complain("");
+  if (kind === "look") looking = "";
   const asked = { kind, logs, reading: reading() };
   if (kind !== "look" && kind !== "history" && strip.asked) Object.assign(asked, { start: strip.start, end: strip.end });
   const job = await ask("/api/jobs", { body: asked });
+  if (kind === "look") looking = job.key;
   mine.add(job.key);
   keepMine();
   await showEnded(); // its end may have been told before its key
@@ -79,14 +83,14 @@ function drawCommand() {
 function drawLook(found) {
   const turned = found.turned === null ? "no gyroscope" : `turned by ${Math.round((found.turned * 180) / Math.PI)}° in total`;
   const long = found.duration > 120 ? `${(found.duration / 60).toFixed(1)} min` : `${found.duration.toFixed(1)} s`;
-  $("#holds").textContent = [found.format, long, found.problem === null ? turned : `cannot be read: ${found.problem}`].join(" · ");
+  $("#holds").textContent = [found.format, long, found.problem === null ? turned : `cannot be read: ${asDoneHere(found.problem)}`].join(" · ");
   $("#holds").className = found.problem === null ? "soft" : "caution";
   $("#reading").open = $("#reading").open || found.problem !== null;
   const head = ["source", "samples", "Hz", "serves as"];
   const rows = found.sources.map((each) => [each.name, each.count, each.rate === null ? "" : each.rate.toFixed(1), each.serves_as.join(", ")]);
   const table = element("table", {}, element("thead", {}, element("tr", {}, ...head.map((text) => element("th", { textContent: text })))),
     ...rows.map(([first, ...rest]) => element("tr", {}, element("th", { textContent: first }), ...rest.map((text) => element("td", { textContent: text })))));
-  const notes = element("ul", {}, ...found.warnings.map((text) => element("li", { textContent: text })));
+  const notes = element("ul", {}, ...found.warnings.map((text) => element("li", { textContent: asDoneHere(text) })));
   $("#content div").replaceChildren(table, notes);
   $("#content").hidden = false;
   $("#sources").replaceChildren(...found.sources.map((each) => element("option", { value: each.name })));
@@ -121,10 +125,10 @@ async function showEnded() {
 }
 
 async function ended(job) {
-  const here = job.kind !== "look" || (log && job.logs[0] === log.key);
+  const here = job.kind !== "look" || (log && job.key === looking);
   if (job.state === "failed" && here) {
-    if (job.kind === "look") $("#holds").textContent = `cannot be read: ${job.message}`;
-    else complain(job.message || "the job failed");
+    if (job.kind === "look") $("#holds").textContent = `cannot be read: ${asDoneHere(job.message)}`;
+    else complain(asDoneHere(job.message || "the job failed"));
   }
   if (job.state !== "done") return;
   if (job.kind === "look" && here) drawLook((await ask(`/api/jobs/${job.key}`)).output);
@@ -176,3 +180,4 @@ $("#remove").addEventListener("click", async () => {
 });
 document.addEventListener("interval", drawCommand);
 $("#reading").addEventListener("input", drawCommand);
+$("#reading").addEventListener("change", () => run("look"));

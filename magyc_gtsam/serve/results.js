@@ -34,8 +34,13 @@ function exported(key, { name, file, text }) {
     element("details", {}, element("summary", { textContent: file || "Text" }), element("pre", { textContent: text })));
 }
 
-/** What a sentence for a terminal asks for, as it is done here. */
-const asDoneHere = (text) => text.replace("run `magyc-gtsam gap`", "press Gap").replace(" (--start, --end)", " (drag over the charts)");
+/** What a sentence for a terminal asks for, as it is done here; where it cannot be, that the command line can. */
+function asDoneHere(text) {
+  const here = text.replace("run `magyc-gtsam gap`", "press Gap").replace(" (--start, --end)", " (drag over the charts)")
+    .replace("begin a new --state", "begin a new run (Freeze, then New run)");
+  const lacks = [...here.matchAll(/--([a-z][a-z-]*)/g)].some(([, name]) => !$(`#reading [name=${name.replaceAll("-", "_")}], #${name}`));
+  return lacks ? `${here.replace(/\.$/, "")}; not all of these options are on this page, use the command line` : here;
+}
 
 /** With a capital and a full stop. */
 const asSentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.` : "");
@@ -65,6 +70,8 @@ async function showResult(key) {
   const texts = found.exports.length || others.length ? element("section", {}, element("h2", { textContent: found.exports.length ? "To copy" : "Files" }), ...found.exports.map((each) => exported(key, each)),
     ...(others.length ? [element("p", { className: "soft", textContent: "Other files: " }, ...others.flatMap((file) => [element("a", { href: `/results/${key}/${encodeURIComponent(file)}`, download: file, textContent: file }), " "]))] : [])) : null;
   const numbers = found.rows.length ? element("section", {}, element("h2", { textContent: "Parameters" }), ...parameters(found.rows)) : null;
-  $("#result").replaceChildren(head, actions, ...[numbers, texts].filter(Boolean));
+  const remarks = [...(found.details || []), ...(found.notes || [])];
+  const notes = remarks.length ? element("section", {}, element("h2", { textContent: "Notes" }), element("ul", {}, ...remarks.map((text) => element("li", { textContent: asDoneHere(text) })))) : null;
+  $("#result").replaceChildren(head, actions, ...[notes, numbers, texts].filter(Boolean));
   $("#result").hidden = false;
 }

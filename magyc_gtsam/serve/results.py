@@ -11,6 +11,7 @@ from magyc_gtsam.option_names import as_options
 from magyc_gtsam.report import words
 from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.serve.live import CALIBRATION
+from magyc_gtsam.storage.mapping import parse_yaml
 
 _SHOWN = {  # files whose text can be copied, in this order, and their labels
     "px4.params": "PX4",
@@ -35,7 +36,12 @@ def details(folder: Path, converged: bool | None) -> dict[str, Any]:
         for name, label in _SHOWN.items()
         if name in files and files[name].stat().st_size <= _MOST
     ]
-    shown: dict[str, Any] = {"files": list(files), "exports": exports, "rows": []}
+    shown: dict[str, Any] = {
+        "files": list(files),
+        "exports": exports,
+        "rows": [],
+        "notes": _notes(files.get("configuration.yaml")),
+    }
     path = next((files[name] for name in _CALIBRATIONS if name in files), None)
     if path is not None:
         try:
@@ -55,3 +61,15 @@ def details(folder: Path, converged: bool | None) -> dict[str, Any]:
             "details": list(map(as_options, verdict.details)),
         }
     return shown
+
+
+def _notes(configuration: Path | None) -> list[str]:
+    """Return the notes on the log, which configuration.yaml has."""
+    if configuration is None:
+        return []
+    try:
+        values = parse_yaml(configuration.read_text(encoding="utf-8"))
+    except (OSError, ValueError, MagycError) as problem:
+        return [f"{configuration.name} cannot be read: {problem}"]
+    notes = values.get("notes") if isinstance(values, dict) else None
+    return [as_options(str(note)) for note in notes] if isinstance(notes, list) else []

@@ -189,14 +189,18 @@ class Store:
         folders = [p for p in folders if any((p / name).exists() for name in (*_KINDS, _LIVE, RECORD))]
         return {p.name: p for p in sorted(folders, key=lambda p: -p.stat().st_mtime)[:_MOST_LISTED]}
 
+    def record(self, folder: Path) -> dict[str, Any]:
+        """Return the server's record of a result; {} for a result of the command line, which has none."""
+        try:
+            record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return record if isinstance(record, dict) else {}
+
     def described(self, folder: Path) -> dict[str, Any]:
         """Return the record of a result as JSON types, without reading its numbers."""
         kind = next((kind for name, kind in _KINDS.items() if (folder / name).exists()), "live")
-        try:
-            record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        except (OSError, ValueError):  # results of the command line have no record
-            record = {}
-        record = record if isinstance(record, dict) else {}
+        record = self.record(folder)
         return {
             "key": folder.name,
             "kind": kind,

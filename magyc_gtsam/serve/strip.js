@@ -32,7 +32,8 @@ function drawStrip(found) {
     strip.charts.push({ figure, drawn });
   });
   frame.append(layer());
-  choose(null, null);
+  const inside = (value) => (value > strip.from && value < strip.to ? value : null);
+  choose(inside(strip.start), inside(strip.end)); // what was chosen before the log was read again
 }
 
 /** What takes the fingers: over all charts, as wide as their time axis. */
