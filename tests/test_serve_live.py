@@ -165,6 +165,7 @@ def test_in_a_browser_with_a_reload_in_the_middle(
     wrong: list[str] = []
     try:
         page = context.new_page()
+        page.add_init_script("felt = 0; navigator.vibrate = () => { felt += 1; };")
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.goto(server.address)
         page.locator("[data-tab=live]").click()
@@ -183,6 +184,10 @@ def test_in_a_browser_with_a_reload_in_the_middle(
         page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
         send_lines(port, lines[600:])
         page.locator("#live-verdict.good").wait_for()
+        assert page.evaluate("felt") == 1
+        page.reload()
+        page.locator("#live-verdict.good").wait_for()
+        assert page.evaluate("felt") == 0, "nothing has changed"
         page.locator("#residual", has_text="Undisturbed").wait_for()
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         duration = lines[-1]["time"] - lines[0]["time"]
@@ -195,6 +200,12 @@ def test_in_a_browser_with_a_reload_in_the_middle(
         assert page.evaluate("navigator.clipboard.readText()") == expected.export("px4")
         (file,) = tmp_path.glob("results/*/online-calibration.yaml")
         same(file, expected)
+
+        page.locator("#continue").click()
+        listened_to(port)
+        send_lines(port, lines[:50])  # a sensor that was switched off counts from its start again
+        page.locator("#live-verdict.bad p", has_text="none of the 100 samples is used").wait_for()
+        assert "begin a new run (Freeze, then New run)" in page.locator("#live-verdict").text_content()
     finally:
         context.close()
         server.stop()

@@ -1,7 +1,7 @@
 // The live run: where the samples come from, and what they show while the vehicle turns.
 "use strict";
 
-const live = { kind: "udp", drawn: null, trusted: false, sound: null, spec: null, move: "", state: "" };
+const live = { kind: "udp", drawn: null, trusted: null, sound: null, spec: null, move: "", state: "" };
 const WORDS = {
   udp: 'Lines of JSON in datagrams: {"time": s, "magnetic_field": [x, y, z], "angular_rate": [x, y, z]}.',
   mavlink: "HIGHRES_IMU, RAW_IMU or SCALED_IMU: udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT.",
@@ -50,7 +50,7 @@ async function order(what, more = {}) {
 
 /** Heard and felt: the verdict has changed to trusted. */
 function signal() {
-  if (navigator.vibrate) navigator.vibrate([200, 100, 200]);
+  if (navigator.vibrate && navigator.userActivation.hasBeenActive) navigator.vibrate([200, 100, 200]);
   if (!live.sound) return;
   [660, 880].forEach((pitch, k) => {
     const [tone, volume] = [live.sound.createOscillator(), live.sound.createGain()];
@@ -86,14 +86,15 @@ function drawRun(run, going) {
   const picture = now && now.picture;
   const waits = !now || now.duration === 0;
   const trusted = Boolean(now && now.converged);
-  if (trusted && !live.trusted && going) signal();
+  if (trusted && live.trusted === false && going) signal(); // null after a reload: nothing has changed
   live.trusted = trusted;
   const head = $("#live-verdict");
   head.className = trusted ? "good" : waits ? "" : "bad";
   const [title, text, origin] = head.children;
   title.textContent = trusted ? "It may be trusted" : waits ? "Waiting for samples" : "Not yet";
   const weak = now && now.sentence !== "converged" ? now.sentence : "";
-  text.textContent = waits ? (now && now.source.waiting_for) || run.messages[0] || "" : trusted ? "More directions make it better still. Freeze when you have enough." : weak;
+  const said = waits ? (now && now.source.waiting_for) || run.messages[0] || "" : (now && now.problem) || (trusted ? "More directions make it better still. Freeze when you have enough." : weak);
+  text.textContent = asDoneHere(said);
   const time = now ? `${now.duration < 120 ? `${now.duration.toFixed(0)} s` : `${(now.duration / 60).toFixed(1)} min`} · ` : "";
   origin.textContent = `${going ? "" : "Frozen · "}${time}${now ? `${now.source.name} · ${now.source.sentence}` : run.source}${now && now.left_out ? ` · ${now.left_out} left out` : ""}`;
   for (const section of document.querySelectorAll("#running > section")) section.hidden = !picture || !picture.points.length;
@@ -156,7 +157,7 @@ $("#begin").addEventListener("click", async () => {
   const source = sourceAsked();
   await order("start", { source, reading: source.kind === "mavlink" ? {} : reading });
   live.another = false;
-  $("#result").hidden = true;
+  closeResult();
 });
 $("#freeze").addEventListener("click", () => order("freeze"));
 for (const id of ["continue", "go-on"]) $(`#${id}`).addEventListener("click", () => order("go on"));
