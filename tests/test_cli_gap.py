@@ -102,6 +102,7 @@ def test_nothing_missing_and_json(
     assert folder.parent == Path("results")
     assert folder.name.startswith("plain-gap-")
     assert {file.name for file in folder.iterdir()} == FILES
+    assert "Effects added" not in (folder / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.usefixtures("quiet_terminal")
@@ -161,6 +162,8 @@ def test_a_gap_left_open_is_exit_code_one(
         ("gap {logs}/plain.mcap --calibration {logs}/none.yaml", "none.yaml: no such file"),
         ("gap --plan waltz", "'waltz' is not one of wide"),
         ("gap --plan wide --validate {logs}/none.mcap", "needs no LOG and writes no files"),
+        ("gap --plan wide --start 100", "leave out all options but --quiet and --json"),
+        ("gap --plan wide -v", "leave out all options but --quiet and --json"),
         ("gap {logs}/brief.mcap --candidates timing", "2 windows of 1.5 s, at least 8 are needed"),
     ],
 )

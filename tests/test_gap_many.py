@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,14 +117,16 @@ def test_rows_that_are_held_are_the_instruments() -> None:
     ]  # noise has no standard deviation in one log
 
 
-def test_the_command_takes_many_logs(late: list[mg.Recording], tmp_path: Path) -> None:
+def test_the_command_takes_many_logs(
+    late: list[mg.Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for recording in late[:2]:
         write_mcap(tmp_path / f"{recording.name}.mcap", recording)
     (tmp_path / "bad.mcap").write_bytes(b"no log")
     output = tmp_path / "out"
-    assert (
-        cli.main(["gap", str(tmp_path), "-o", str(output), "--candidates", "timing,misalignment", "--quiet"]) == 0
-    )
+    assert cli.main(["gap", str(tmp_path), "-o", str(output), "--candidates", "timing,misalignment", "-v"]) == 0
+    assert "Log by log:" in (printed := capsys.readouterr().out)
+    assert re.search(r"magnetometer delay +dive 1 +\S+ ± \S+ ms +\d+%", printed)
     told = json.loads((output / "gap.json").read_text(encoding="utf-8"))
     assert [effect["name"] for effect in told["effects"]] == ["timing"]
     assert [own["log"] for own in told["own"]] == ["bad"]

@@ -114,9 +114,8 @@ def run(
 
         if reading.log is not None or output is not None:
             raise typer.BadParameter("needs no LOG and writes no files; leave out LOG and -o", param_hint="--plan")
-        for name in _NOT_PLANNED:
-            source = context.get_parameter_source(name)
-            if source is not None and source.name == "COMMANDLINE":
+        for name in given.on_command_line(context):
+            if name in _NOT_PLANNED:
                 option = f"--{name.replace('_', '-')}"
                 raise typer.BadParameter("has no effect on a plan (--plan); leave it out", param_hint=option)
         return show_plan(plan, options, quiet, json)

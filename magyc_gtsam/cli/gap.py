@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from magyc_gtsam.report.gap_verdict import Validation
     from magyc_gtsam.report.verdict import Verdict
 
+_PLANNED = frozenset({"plan", "quiet", "json"})  # what has an effect on a plan
+
 
 @with_groups
 def run(
@@ -94,7 +96,7 @@ def run(
     the result does not hold, or cannot be tested, on OTHER_LOG.
     """
     if plan is not None:
-        if any(value is not None for value in (reading.log, simulated, validate, calibration, candidates, output)):
+        if not _PLANNED.issuperset(given.on_command_line(context)):
             raise typer.BadParameter(
                 "needs no LOG and writes no files; leave out all options but --quiet and --json",
                 param_hint="--plan",
@@ -110,7 +112,7 @@ def run(
                 "--simulated, --validate and --calibration are for one LOG", param_hint="LOGS"
             )
         logs = find_logs([reading.log, *(more or [])])
-        return gap_of_logs(reading, logs, names, output, open_page, quiet, json)
+        return gap_of_logs(reading, logs, names, output, open_page, verbose, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
     from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.recording.fingerprint import fingerprint, first_shared

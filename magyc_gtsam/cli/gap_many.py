@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 EFFECTS = ("effect", "belongs to", "value", "logs", "evidence (nats)", "or")
 VALUES = ("effect", "log", "value", "probability")
 WEIGHTS = ("hypothesis", "one value (nats)", "one in each log (nats)")
-_SHOWN = 8  # hypotheses on the terminal; page and gap.json have more
+_SHOWN = 8  # hypotheses on the terminal without --verbose; page and gap.json have more
 _LISTED = 20
 _GOOD = ("none", "closed")
 
@@ -34,6 +34,7 @@ def gap_of_logs(
     names: Sequence[str] | None,
     output: Path | None,
     open_page: bool,
+    verbose: bool,
     quiet: bool,
     json: bool,
 ) -> int:
@@ -74,7 +75,7 @@ def gap_of_logs(
     if json:
         show_json(gap.to_dict() | {"folder": str(folder)})
     elif not quiet:
-        _show(gap, folder)
+        _show(gap, folder, verbose)
     if gap.verdict in _GOOD:
         return 0
     complain(f"the gap is left open: {gap.sentence}")
@@ -102,6 +103,15 @@ def value_of(effect: SharedEffect, value: np.ndarray, sigma: np.ndarray) -> str:
     return f"{', '.join(shown)} {effect.unit}".rstrip()
 
 
+def _log_rows(gap: GapOfMany) -> list[list[str]]:
+    """Return one row for each effect and log."""
+    return [
+        [effect.label, log.log, value_of(effect, log.value, log.sigma), f"{log.present:.0%}"]
+        for effect in gap.effects
+        for log in effect.logs
+    ]
+
+
 def weight_rows(gap: GapOfMany, count: int) -> list[list[str]]:
     """Return rows of the strongest remaining hypotheses against the final model."""
     return [
@@ -110,15 +120,19 @@ def weight_rows(gap: GapOfMany, count: int) -> list[list[str]]:
     ]
 
 
-def _show(gap: GapOfMany, folder: Path) -> None:
+def _show(gap: GapOfMany, folder: Path, every: bool) -> None:
+    """Show effects, logs and hypotheses; with `every` also the value in each log and as many hypotheses as the page."""
     show(f"{'✔' if gap.verdict in _GOOD else '✘'} {_headline(gap)}: {gap.sentence}")
     if gap.effects:
         show("")
         show_table(EFFECTS, effect_rows(gap))
+    if gap.effects and every:
+        show("", "Log by log:")
+        show_table(VALUES, _log_rows(gap), words=(1,))
     if gap.own:
         show("", *(f"{own.log}: {own.sentence}" for own in gap.own))
     show("", "Other hypotheses, against the model with these effects:")
-    show_table(WEIGHTS, weight_rows(gap, _SHOWN))
+    show_table(WEIGHTS, weight_rows(gap, _LISTED if every else _SHOWN))
     show_results(folder)
 
 
@@ -132,14 +146,9 @@ def _headline(gap: GapOfMany) -> str:
 def _page(gap: GapOfMany) -> str:
     from magyc_gtsam.report.summary_page import Section, summary_page
 
-    values = [
-        [effect.label, log.log, value_of(effect, log.value, log.sigma), f"{log.present:.0%}"]
-        for effect in gap.effects
-        for log in effect.logs
-    ]
     sections = [
         Section("Effects", EFFECTS, effect_rows(gap), [] if gap.effects else ["None."]),
-        Section("Log by log", VALUES, values),
+        Section("Log by log", VALUES, _log_rows(gap)),
         Section("Logs left out", sentences=[f"{own.log}: {own.sentence}" for own in gap.own] or ["None."]),
         Section("Other hypotheses, against the model with these effects", WEIGHTS, weight_rows(gap, _LISTED)),
     ]

@@ -267,6 +267,12 @@ def needs_no_log(context: typer.Context, planned: Any) -> Any:
     return planned
 
 
+def on_command_line(context: typer.Context) -> list[str]:
+    """Return the names of the parameters that were given on the command line."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+
+
 def without_effect(option: str, needs: str) -> typer.BadParameter:
     """Return the error for an option that does nothing without another."""
     return typer.BadParameter(f"has no effect without {needs}; leave it out", param_hint=option)

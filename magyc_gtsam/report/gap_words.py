@@ -46,7 +46,8 @@ def key_numbers(gap: Gap) -> list[Number]:
                 "1σ, against the reference",
             )
         )
-    numbers += [Number("Effects added", str(added(gap)), f"of {len(gap.effects)} named")]
+    if gap.effects:
+        numbers.append(Number("Effects added", str(added(gap)), f"of {len(gap.effects)} named"))
     return numbers
 
 
