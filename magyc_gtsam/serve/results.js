@@ -70,7 +70,8 @@ async function showResult(key) {
   const texts = found.exports.length || others.length ? element("section", {}, element("h2", { textContent: found.exports.length ? "To copy" : "Files" }), ...found.exports.map((each) => exported(key, each)),
     ...(others.length ? [element("p", { className: "soft", textContent: "Other files: " }, ...others.flatMap((file) => [element("a", { href: `/results/${key}/${encodeURIComponent(file)}`, download: file, textContent: file }), " "]))] : [])) : null;
   const numbers = found.rows.length ? element("section", {}, element("h2", { textContent: "Parameters" }), ...parameters(found.rows)) : null;
-  const remarks = [...(found.details || []), ...(found.notes || [])];
+  const [details, most] = [found.details || [], 4]; // as on a terminal
+  const remarks = [...(found.notes || []), ...details.slice(0, most), ...(details.length > most ? [`and ${details.length - most} more, in the report`] : [])];
   const notes = remarks.length ? element("section", {}, element("h2", { textContent: "Notes" }), element("ul", {}, ...remarks.map((text) => element("li", { textContent: asDoneHere(text) })))) : null;
   $("#result").replaceChildren(head, actions, ...[notes, numbers, texts].filter(Boolean));
   $("#result").hidden = false;

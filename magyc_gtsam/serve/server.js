@@ -48,7 +48,7 @@ function send(file, progress, started) {
     request.responseType = "json";
     request.upload.onprogress = (event) => progress(event.loaded / event.total);
     const failed = (text) => { if (text) complain(text); reject(new Told(text)); };
-    request.onload = () => request.status === 201 ? resolve(request.response) : failed((request.response && request.response.problem) || `${file.name}: refused`);
+    request.onload = () => request.status === 201 ? resolve(request.response) : failed(`${file.name}: ${(request.response && request.response.problem) || "refused"}`);
     request.onerror = () => failed(`${file.name}: the upload broke off; drop it again`);
     request.onabort = () => failed("");
     started(() => request.abort());
