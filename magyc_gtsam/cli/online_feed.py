@@ -10,6 +10,7 @@ import numpy as np
 from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.online.intake import ClockSetBack
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
 
 if TYPE_CHECKING:
     from magyc_gtsam.online import OnlineCalibrator
@@ -30,12 +31,14 @@ class Feed:
     Attributes:
         taken: number of samples given to the calibrator.
         skipped: number of samples with stamps that the saved state holds.
-        unused: number of those since the last sample that was given.
+        unused: number of those since the last sample that was given; 0 while they are samples of the state again, as
+            where a growing file is read from its beginning.
     """
 
     def __init__(self, online: OnlineCalibrator, axes: Array | None = None) -> None:
         self.online = online
-        self.taken = self.skipped = self.unused = 0
+        self.taken = self.skipped = self._since = 0
+        self._ignored = RunningFingerprint()  # of the samples before the first that is given
         self._axes = axes
         self._until = online.taken_until  # the last stamps that an earlier run has used
 
@@ -54,8 +57,10 @@ class Feed:
         count = len(magnetometer.time) + len(gyroscope.time)
         skipped = sum(len(samples.time) for samples in batch) - count
         self.skipped += skipped
-        self.unused = 0 if count else self.unused + skipped
+        self._since = 0 if count else self._since + skipped
         self.taken += count
+        if not self.taken:
+            self._ignored.take(batch.magnetometer.value)
         if not count:
             return
         if self._axes is not None:
@@ -76,20 +81,22 @@ class Feed:
         )
 
     @property
+    def unused(self) -> int:
+        of_state = first_shared(self._ignored.text, [self.online.fingerprint]) is not None
+        return 0 if not self.taken and of_state else self._since
+
+    @property
     def nothing_new(self) -> bool:
-        """Whether samples have come and the saved state holds the stamps of all of them."""
-        return bool(self.skipped) and not self.taken
+        """Whether samples have come, none of them is used, and they are not those of the saved state."""
+        return bool(self.unused) and not self.taken
 
     @property
     def before_state(self) -> str:
         """Why the present samples are not used, and the remedy; "" if they are used."""
-        if not self.unused:
+        unused = self.unused
+        if not unused:
             return ""
-        which = (
-            f"none of the {self.unused} samples is"
-            if self.nothing_new
-            else f"the last {self.unused} samples are not"
-        )
+        which = f"the last {unused} samples are not" if self.taken else f"none of the {unused} samples is"
         return (
             f"{which} used: their stamps lie before the end of the saved state "
             f"({max(self._until):.3f} s); if this is another log or clock, begin a new --state"
@@ -99,9 +106,10 @@ class Feed:
     def progress(self) -> Progress:
         """The calibrator's progress; not converged, with the reason, while the samples are not used."""
         progress = self.online.progress
-        if not self.unused:
+        unused = self.unused
+        if not unused:
             return progress
-        left_out = progress.left_out + self.unused
+        left_out = progress.left_out + unused
         return replace(progress, converged=False, sentence=self.before_state, left_out=left_out)
 
 

@@ -74,7 +74,8 @@ class QuietView:
         if feed.unused:
             self.complain(feed.before_state)
         elif feed.skipped:
-            self.complain(f"{feed.skipped} samples were in the saved state already")
+            every = "" if feed.taken else "all "
+            self.complain(f"{every}{feed.skipped} samples were in the saved state already")
         if session.problem:
             files = "another -o" if session.state is None else "another -o and --state"
             self.complain(f"{session.problem} (give it {files})")
@@ -121,7 +122,7 @@ class PlainView(QuietView):
         show(
             verdict.sentence,
             f"{self.source.name}: {progress.duration:.1f} s, {calibration.method}; {session.end}"
-            + ("; all samples are from the saved state" if self.feed.nothing_new else ""),
+            + ("; all samples are from the saved state" if self.feed.skipped and not self.feed.taken else ""),
             "",
         )
         if verdict.trusted:

@@ -227,6 +227,13 @@ class OnlineCalibrator:
         self._catch_up()
         return self._intake.until
 
+    @property
+    @locked
+    def fingerprint(self) -> str:
+        """The fingerprint of the magnetometer samples so far; see `magyc_gtsam.recording.fingerprint`."""
+        self._catch_up()
+        return self._samples.text
+
     @locked
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the whole state to one file, replacing it atomically, so that an interruption loses no saved state."""
