@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam import metrics
@@ -10,6 +11,7 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.calibrated import calibrated_on_time
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.simulation.effects import EFFECTS
 
 
@@ -27,8 +29,12 @@ def heading_errors(scenario: Scenario, result: dict[str, Any]) -> tuple[float, f
 
 
 def heading_error(calibration: Calibration, recording: Recording) -> float:
-    """Return the standard deviation, deg, of the calibrated field's heading against the attitude's."""
-    corrected = calibrated_on_time(calibration, recording)
+    """Return the standard deviation, deg, of the calibrated field's heading against the attitude's.
+
+    The recording is the fitted one or the same without its noise, so that dated effects hold at their times.
+    """
+    own = {"recordings": [fingerprint(recording)]}
+    corrected = calibrated_on_time(replace(calibration, diagnostics={**calibration.diagnostics, **own}), recording)
     assert corrected.attitude is not None
     rows = corrected.magnetic_field_fresh
     return metrics.heading_deviation(corrected.magnetic_field[rows], corrected.attitude[rows])
