@@ -214,10 +214,11 @@ def test_notes_are_on_the_card_and_a_unit_that_is_taken_back_leaves_no_trace(
     page.locator("#start").fill("30")
     page.locator("#start").blur()
     page.locator("#reading summary").click()
+    page.locator("#holds", has_text="turned by").wait_for()
     before = page.locator("#holds").text_content()
     page.locator("[name=angular_unit]").select_option("deg/s")
     page.locator("#holds", has_text="turned by").filter(has_not_text=before).wait_for()
-    assert page.locator("#start").input_value() == "30.0"
+    page.wait_for_function("document.querySelector('#start').value === '30.0'")
     page.locator("[name=magnetic_unit]").select_option("gauss")
     page.locator("#holds.caution", has_text="cannot be read").wait_for()
     page.locator("[name=magnetic_unit]").select_option("")
