@@ -109,8 +109,8 @@ class Calibration:
                 which a dated term was found (a jump counts as set in, others are left out), or lacks a channel that
                 a term follows for some time.
         """
-        calibration, notes = on_recording(self, magnetic_field)
-        field: Array = calibration.corrected(magnetic_field, **signals)
+        held, notes = on_recording(self, magnetic_field)
+        field: Array = held._corrected(magnetic_field, signals)
         warn_of(notes)
         if self.magnetic_field_unit == "T":
             warn_if_implausible(field)
@@ -118,17 +118,22 @@ class Calibration:
 
     def corrected(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the result of `apply` without its warnings, for callers that judge or show the strength."""
-        check_field_units(magnetic_field, self.magnetic_field_unit)
         held, _ = on_recording(self, magnetic_field)
+        field: Array = held._corrected(magnetic_field, signals)
+        return field
+
+    def _corrected(self, magnetic_field: ArrayLike | Recording, signals: dict[str, Any]) -> Array:
+        """Return the calibrated field with all terms, whichever recording they were found in."""
+        check_field_units(magnetic_field, self.magnetic_field_unit)
         given = given_signals(magnetic_field, "magnetic_field", signals)
         m = vectors("magnetic_field", given.pop("magnetic_field"))
         rows = np.atleast_2d(m)
-        at = as_signals("magnetic_field", len(rows), given, held.terms)
-        if not held.terms:
-            return cast(Array, (m - held.hard_iron) @ np.linalg.inv(held.soft_iron).T)
-        if at.rate is not None and held.gyro_bias is not None:
-            at = replace(at, rate=corrected_rate(at.rate, held.gyro_bias, held.terms, at))
-        return corrected_field(rows.T, held.soft_iron, held.hard_iron, held.terms, at).T.reshape(m.shape)
+        at = as_signals("magnetic_field", len(rows), given, self.terms)
+        if not self.terms:
+            return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
+        if at.rate is not None and self.gyro_bias is not None:
+            at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
+        return corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at).T.reshape(m.shape)
 
     def apply_gyroscope(self, angular_rate: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the calibrated angular rate w − gyro_bias, without the effects in `terms`.
