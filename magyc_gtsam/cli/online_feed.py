@@ -82,8 +82,11 @@ class Feed:
 
     @property
     def unused(self) -> int:
+        """See the class."""
+        if self.taken or not self._since:
+            return self._since
         of_state = first_shared(self._ignored.text, [self.online.fingerprint]) is not None
-        return 0 if not self.taken and of_state else self._since
+        return 0 if of_state else self._since
 
     @property
     def nothing_new(self) -> bool:
