@@ -29,7 +29,8 @@ class Scale:
         tuple[float, float] | None,
         typer.Option(
             metavar="LAT LON",
-            help="Position in degrees; with --date the World Magnetic Model gives the field strength.",
+            help="Position in degrees; with --date the World Magnetic Model gives the field: its strength, and where "
+            "the command uses them its dip and declination.",
         ),
     ] = None
     altitude: Annotated[
