@@ -17,6 +17,7 @@ from magyc_gtsam.kept_memory import keep_freed_memory
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
+from magyc_gtsam.recording.held import with_chance_repeats
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _METHODS = {
@@ -187,7 +188,7 @@ def calibrate(
         )
     usable = without_faults(recording, ("magnetic_field", *entry.needs))
     try:
-        result: Calibration = function(usable.recording, progress=progress, **given)
+        result: Calibration = function(with_chance_repeats(usable.recording), progress=progress, **given)
     except MagycError as problem:
         if usable.clipped is None:
             raise

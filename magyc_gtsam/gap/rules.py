@@ -16,10 +16,7 @@ class Rules:
     """
 
     # What is tested and corrected.
-    # share of the entries in which single axes repeat, above which the steps are coarse
-    alone_axis: float = 0.1
     blocks: int = 8  # of the held-out test, at least, so that each half contains some of every manoeuvre
-    by_chance: float = 0.5  # position between the variances of run lengths by a clock (0) and by chance (1)
     # nats that two fitted parameters of a noise model may gain by chance (with a margin)
     chance: float = 9.0
     coarse: float = 0.7  # step in sigmas above which quantisation is an effect
@@ -34,15 +31,12 @@ class Rules:
     farthest: float = 4.0
     field_differs: float = 0.02  # of the field: a degree of heading
     field_varies: float = 5.0  # nats: twice the largest value of clean recordings (2.3)
-    held_rows: float = 0.08  # share of rows that exactly repeat the one before
     late: float = 0.01  # rad of rotation
     longest_colour: float = 4.0  # s, correlation time above which colour is a drift of unknown cause
     lowest_bins: int = 5  # of the periodogram, too slow for a tone: they are drifts
     moved: float = 2.0  # sigmas above which a parameter is reported as moved
     one_way: float = 0.75  # share of the colour along one axis above which it is not noise
     rare: float = 0.05  # share of wrong samples; a larger one is another distribution of the noise
-    # share of the repeated entries that chance must not explain: axes that pause together are not held
-    repeats_left: float = 0.7
     span: float = 2.5  # widths within which a second bump belongs to the first
     spike: float = 4.5  # sigmas, exceeded by one normal vector in six thousand
     spikes_alone: float = 0.46  # share of the spikes, adjacent ones counted as one, that have no neighbour
@@ -55,7 +49,6 @@ class Rules:
     # constant in it, noise averages out
     window: float = 1.0
     rows_left_out: float = 0.5  # share of the rows that a channel's pauses may take; with more it is not used
-    repeats_by_chance: float = 0.2  # step in sigmas above which repeated values are chance, not held samples
     rest_means: int = 10  # number of such means that hardly differ, from which they are a rest
     rest_same: float = 0.03  # of the field's spread over the recording, below which means hardly differ
     rest_near: int = 3  # means beside a rest in which a jump belongs to it

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.axes import arrangements, check
-from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.preparation.held_clock import on_own_clock
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.noise_effects import COUNTED, NoiseScore, quantisation, sample_hold
+from magyc_gtsam.gap.samples.noise_effects import COUNTED, NoiseScore, sample_hold
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.held import with_chance_repeats
 
 
 def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tuple[NoiseScore, ...]]:
@@ -30,10 +30,7 @@ def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tupl
     held = sample_hold(recording)
     if "sample-hold" in names:
         scores.append(held)
-    if held.significant:
-        recording = on_own_clock(recording)
-    else:
-        recording = _with_all_entries(recording, magnetometer_noise(recording))
+    recording = on_own_clock(recording) if held.significant else with_chance_repeats(recording)
     return recording, tuple(scores)
 
 
@@ -60,20 +57,6 @@ def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
         )
         return turned, [score]
     return recording, []
-
-
-def _with_all_entries(recording: Recording, noise: float) -> Recording:
-    """Return the recording with all entries as samples, if repeated values are due to coarse steps.
-
-    To leave such repeats out would keep the first of each, and so make the magnetometer seem early.
-
-    Args:
-        recording: the data.
-        noise: of the magnetometer, T per sample.
-    """
-    if quantisation(recording, noise).statistic < RULES.repeats_by_chance:
-        return recording
-    return replace(recording, magnetic_field_fresh=recording.magnetic_field_stamped)
 
 
 def moving(recording: Recording) -> Recording:

@@ -16,6 +16,7 @@ from scipy.special import gammaincc
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.held import HELD, Repeats
 
 COUNTED = 1e6  # nats of an effect that is counted, not estimated
 _MEDIAN = 2.674  # of Gamma(3)
@@ -25,8 +26,6 @@ _LEAKS = 2  # bins on each side of a line that its spectral leakage reaches
 _CELLS = 4  # of the grid per sample; at half the sampling rate, rounding to them loses 3 % of an amplitude
 _LONGEST = 8.0  # longest duration, in median steps per sample, for which gaps in the recording are kept
 _FLAT = 1e-6  # of the largest variance, below which a direction contains no information
-_LOCALLY = 3.0  # s in which the probability of a repeat hardly changes
-_ROWS = 100  # fewest rows from which a share is estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,61 +217,16 @@ def lattice(values: Array) -> float:
 
 
 def sample_hold(recording: Recording) -> NoiseScore:
-    """Test for entries of the magnetometer's log that exactly repeat the one before them.
-
-    A hold repeats all axes together, a coarse step repeats each axis independently: only repeats count that chance
-    repeats of the single axes do not explain. If these are many, the common repeats must also be regular.
-    """
-    own = recording.magnetic_field_stamped
-    stale = ~recording.magnetic_field_fresh[own]
-    repeats = np.diff(recording.magnetic_field[own], axis=0) == 0
-    share = _share_held(recording.time[own], repeats)
-    together = repeats.all(axis=1)
-    coarse = float(repeats.mean() - together.mean()) > RULES.alone_axis
-    held = share > max(RULES.held_rows, RULES.repeats_left * float(stale.mean())) and (
-        not coarse or _regular(together)
-    )
-    rows = len(stale) / max(int((~stale).sum()), 1)
+    """Test for entries of the magnetometer's log that exactly repeat the one before them (`recording.held`)."""
+    repeats, fresh = Repeats.of(recording), recording.magnetic_field_fresh.sum()
+    rows = recording.magnetic_field_stamped.sum() / max(int(fresh), 1)
     return NoiseScore(
         "sample-hold",
-        share,
-        RULES.held_rows,
-        COUNTED * held,
-        held,
+        repeats.share,
+        HELD,
+        COUNTED * repeats.held,
+        repeats.held,
         np.array([rows]),
         np.array([0.0]),
-        {"share": share},
+        {"share": repeats.share},
     )
-
-
-def _regular(repeats: np.ndarray) -> bool:
-    """Return whether repeated steps (n,) have the regular run lengths of a clock: one number of rows, or one more.
-
-    Coarse steps repeat while the field hardly changes: their run lengths vary as by chance, or more.
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], repeats.astype(int), [0]])))
-    lengths = edges[1::2] - edges[::2]
-    mean = float(lengths.mean())
-    clock, chance = (mean % 1) * (1 - mean % 1), mean * (mean - 1)  # variances of the run length
-    return bool(lengths.var() <= clock + RULES.by_chance * max(chance - clock, 0.0) + 1e-9)
-
-
-def _share_held(time: Array, repeats: np.ndarray) -> float:
-    """Return the share h of the steps (n, 3) at which all axes are held, apart from repeats of single axes.
-
-    With q_i the probability of a repeat of axis i without a hold, an axis repeats with p_i = h + (1 − h) q_i and all
-    three with h + (1 − h) q_x q_y q_z. This is solved for h in each section of the recording by bisection. The median
-    over the sections is returned: a hold is present all the time, a pause is not.
-    """
-    length = max(_LOCALLY, _ROWS * float(np.median(np.diff(time))))
-    stretch = np.floor((time[1:] - time[0]) / length).astype(int)
-    _, starts, count = np.unique(stretch, return_index=True, return_counts=True)
-    each = np.add.reduceat(repeats, starts, axis=0, dtype=float) / count[:, None]
-    together = np.add.reduceat(repeats.all(axis=1), starts, dtype=float) / count
-    low, high = np.zeros(len(count)), each.min(axis=1)
-    for _ in range(30):
-        h = 0.5 * (low + high)
-        free = np.maximum(1 - h, 1e-9)
-        more = h + np.prod(np.maximum(each - h[:, None], 0.0) / free[:, None], axis=1) * free < together
-        low, high = np.where(more, h, low), np.where(more, high, h)
-    return float(np.median(np.repeat(0.5 * (low + high), count)))

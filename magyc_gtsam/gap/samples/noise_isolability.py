@@ -16,6 +16,7 @@ from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.first import NOISE_LIMIT
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.held import HELD
 
 _SHARE = 0.01  # of the samples that are spikes
 _CORRELATION_TIME = 1.0  # s, correlation time of the coloured noise
@@ -38,9 +39,9 @@ def noise_isolability(recording: Recording, noise: float) -> tuple[Isolability, 
         _row("quantisation", RULES.coarse * noise, "steps of the magnetometer", matters=RULES.coarse * noise),
         _certain(
             "sample-hold",
-            100 * RULES.held_rows,
+            100 * HELD,
             "% of rows",
-            f"from {RULES.held_rows:.0%} of repeated rows on, by counting them",
+            f"from {HELD:.0%} of repeated rows on, by counting them",
         ),
         _certain("axis-order", 0.0, "", "always, by trying all 48 arrangements before anything is estimated"),
     )
