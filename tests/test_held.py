@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.recording.held import Repeats, with_chance_repeats
+from magyc_gtsam.recording.held import RepeatedEntries, with_chance_repeats
 
 STEP = 0.6e-6  # T, of an AK09911
 
@@ -28,7 +28,7 @@ def test_coarse_steps_do_not_make_the_magnetometer_seem_early(seed: int) -> None
     recording = slow(seed)
     coarse = reading(recording, np.round(recording.magnetic_field / STEP) * STEP)
     assert (~coarse.magnetic_field_fresh).mean() > 0.1
-    assert Repeats.of(coarse).by_chance
+    assert RepeatedEntries.of(coarse).by_chance
     assert with_chance_repeats(coarse).magnetic_field_fresh.all()
     found = mg.calibrate(coarse)
     assert abs(found.delay) < 2 * found.delay_sigma
@@ -43,8 +43,8 @@ def test_a_hold_is_left_out(step: float, times: int) -> None:
     recording = slow(1)
     field = np.repeat(recording.magnetic_field[::times], times, axis=0)[: len(recording.time)]
     held = reading(recording, np.round(field / step) * step if step else field)
-    assert Repeats.of(held).held or step  # chance makes the runs of a hold irregular
-    assert not Repeats.of(held).by_chance
+    assert RepeatedEntries.of(held).held or step  # chance makes the runs of a hold irregular
+    assert not RepeatedEntries.of(held).by_chance
     assert with_chance_repeats(held) is held
 
 
@@ -54,5 +54,5 @@ def test_single_entries_that_a_logger_repeats_are_left_out() -> None:
     field = np.round(recording.magnetic_field / 1e-6) * 1e-6
     field[30::30] = field[29:-1:30]
     repeated = reading(recording, field)
-    assert not Repeats.of(repeated).by_chance
+    assert not RepeatedEntries.of(repeated).by_chance
     assert with_chance_repeats(repeated) is repeated

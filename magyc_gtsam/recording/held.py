@@ -25,7 +25,7 @@ _ROWS = 100  # fewest rows from which a share is estimated
 
 
 @dataclass(frozen=True)
-class Repeats:
+class RepeatedEntries:
     """The repeated entries of a magnetometer's log.
 
     Attributes:
@@ -39,7 +39,7 @@ class Repeats:
     by_chance: bool
 
     @classmethod
-    def of(cls, recording: Recording) -> Repeats:
+    def of(cls, recording: Recording) -> RepeatedEntries:
         """Count the repeats of a recording; at coarse steps those of a hold must also be regular."""
         own = recording.magnetic_field_stamped
         stale = ~recording.magnetic_field_fresh[own]
@@ -56,7 +56,7 @@ def with_chance_repeats(recording: Recording) -> Recording:
     """Return the recording with all entries of the magnetometer as samples, if they repeat because of coarse steps."""
     if np.array_equal(recording.magnetic_field_fresh, recording.magnetic_field_stamped):
         return recording
-    if not Repeats.of(recording).by_chance:
+    if not RepeatedEntries.of(recording).by_chance:
         return recording
     return replace(recording, magnetic_field_fresh=recording.magnetic_field_stamped)
 

@@ -16,7 +16,7 @@ from scipy.special import gammaincc
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.recording.held import HELD, Repeats
+from magyc_gtsam.recording.held import HELD, RepeatedEntries
 
 COUNTED = 1e6  # nats of an effect that is counted, not estimated
 _MEDIAN = 2.674  # of Gamma(3)
@@ -218,7 +218,7 @@ def lattice(values: Array) -> float:
 
 def sample_hold(recording: Recording) -> NoiseScore:
     """Test for entries of the magnetometer's log that exactly repeat the one before them (`recording.held`)."""
-    repeats, fresh = Repeats.of(recording), recording.magnetic_field_fresh.sum()
+    repeats, fresh = RepeatedEntries.of(recording), recording.magnetic_field_fresh.sum()
     rows = recording.magnetic_field_stamped.sum() / max(int(fresh), 1)
     return NoiseScore(
         "sample-hold",
