@@ -20,6 +20,7 @@ _LEFT = 0.7  # share of the repeated entries that chance must not explain: axes 
 # share of the repeated entries that chance must explain: at coarse steps it does for 0.9 to 1, beside a hold for 0.3
 _BY_CHANCE = 0.5
 _RANDOM = 0.5  # position between the variances of run lengths by a clock (0) and by chance (1)
+_LONGEST = 10  # entries in a row that repeat by chance; a sensor that is stuck has more
 _LOCALLY = 3.0  # s in which the probability of a repeat hardly changes
 _ROWS = 100  # fewest rows from which a share is estimated
 
@@ -53,12 +54,16 @@ class RepeatedEntries:
 
 
 def with_chance_repeats(recording: Recording) -> Recording:
-    """Return the recording with all entries of the magnetometer as samples, if they repeat because of coarse steps."""
-    if np.array_equal(recording.magnetic_field_fresh, recording.magnetic_field_stamped):
+    """Return the recording with repeated entries as samples if they repeat because of coarse steps.
+
+    Of a longer run, which may be that of a sensor that is stuck, only the first entries are.
+    """
+    fresh, stamped = recording.magnetic_field_fresh, recording.magnetic_field_stamped
+    if np.array_equal(fresh, stamped) or not RepeatedEntries.of(recording).by_chance:
         return recording
-    if not RepeatedEntries.of(recording).by_chance:
-        return recording
-    return replace(recording, magnetic_field_fresh=recording.magnetic_field_stamped)
+    entry = np.cumsum(stamped)
+    since = entry - np.maximum.accumulate(np.where(fresh, entry, 0))  # entries since the last that was fresh
+    return replace(recording, magnetic_field_fresh=stamped & (since <= _LONGEST))
 
 
 def _regular(repeats: Mask) -> bool:
