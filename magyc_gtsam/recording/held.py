@@ -62,7 +62,9 @@ def with_chance_repeats(recording: Recording) -> Recording:
     if np.array_equal(fresh, stamped) or not RepeatedEntries.of(recording).by_chance:
         return recording
     entry = np.cumsum(stamped)
-    since = entry - np.maximum.accumulate(np.where(fresh, entry, 0))  # entries since the last that was fresh
+    since: np.ndarray = entry - np.maximum.accumulate(
+        np.where(fresh, entry, 0)
+    )  # entries since the last that was fresh
     return replace(recording, magnetic_field_fresh=stamped & (since <= _LONGEST))
 
 
