@@ -43,6 +43,12 @@ def season(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine of one core: to start processes takes longer than the logs, and has tests of its own below."""
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+
+
 def test_logs_are_found(season: Path) -> None:
     all_of_them = (season / "a.mcap", season / "june/a.mcap", season / "june/broken.csv")
     assert find_logs(season) == all_of_them
@@ -105,13 +111,16 @@ def test_calibrate_a_folder(season: Path, tmp_path: Path, capsys: pytest.Capture
 
 
 def test_a_bug_costs_only_its_log(
-    season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    season: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    in_this_process: None,
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("no")
 
     monkeypatch.setattr("magyc_gtsam.cli.many.calibrate_log", fail)
-    monkeypatch.setattr("os.cpu_count", lambda: 1)  # in this process
     assert main(["calibrate", str(season), "-o", str(tmp_path / "all")]) == 2
     assert capsys.readouterr().err.count("internal error: ZeroDivisionError: no") == 3
 
@@ -134,12 +143,15 @@ def test_what_does_nothing_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_history_command(
+    season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "history"
     assert main(["history", str(season / "a.mcap"), str(season / "june"), "-o", str(folder), "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["groups"] == [[0, 1]]
     assert shown["contradictions"][0][0] == 2
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # the rest in this process
     assert main(["history", str(season / "a.mcap"), str(season / "june"), "-o", str(folder)]) == 0
     (unused,) = (line for line in capsys.readouterr().out.splitlines() if "broken.csv" in line)
     assert re.fullmatch(r"\S*broken.csv +– +– +not used: holds a header but no data", unused)
@@ -182,7 +194,7 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_parameters_of_an_earlier_run_do_not_stay_beside_an_untrusted_result(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None
 ) -> None:
     a, b, c, d = (str(tmp_path / f"{name}.mcap") for name in "abcd")
     one, other = np.eye(3), np.diag([1.2, 0.9, 1.0])
@@ -206,7 +218,7 @@ def test_parameters_of_an_earlier_run_do_not_stay_beside_an_untrusted_result(
     assert (each / "b" / "px4.params").exists()
 
 
-def test_results_are_not_read_as_logs(season: Path, tmp_path: Path) -> None:
+def test_results_are_not_read_as_logs(season: Path, tmp_path: Path, in_this_process: None) -> None:
     folder = tmp_path / "season"
     shutil.copytree(season, folder)
     logs = find_logs(folder)
@@ -288,7 +300,9 @@ def test_a_cluster_with_a_worker_killed_gives_the_same_bits(
     assert rows == {str(seed): engine_work.spectrum((seed, 30)) for seed in range(12)}
 
 
-def test_every_compass_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_compass_of_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None
+) -> None:
     """Two magnetometers beside one gyroscope: a page and parameters each, and one table."""
     log = tmp_path / "two.mcap"
     irons = ([1e-5, 2e-6, -3e-6], [-8e-6, 1e-5, 4e-6])
