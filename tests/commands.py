@@ -8,6 +8,7 @@ import logging
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -44,11 +45,17 @@ def run(*arguments: object, cwd: Path, stdin: str = "") -> Finished:
     output, errors = io.StringIO(), io.StringIO()
     assert threading.current_thread() is threading.main_thread()  # the folder is that of all threads
     disabled, before = logging.root.manager.disable, sys.stdin
-    sys.stdin = io.StringIO(stdin)
-    try:
-        with _in_folder(cwd), contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
-            code = cli.main(command)
-    finally:
-        sys.stdin = before
-        logging.disable(disabled)  # `main` silences the libraries of its process
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as given:
+        given.write(stdin)
+        given.seek(0)
+        sys.stdin, descriptor = given, os.dup(0)
+        os.dup2(given.fileno(), 0)  # for what reads without buffering
+        try:
+            with _in_folder(cwd), contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+                code = cli.main(command)
+        finally:
+            os.dup2(descriptor, 0)
+            os.close(descriptor)
+            sys.stdin = before
+            logging.disable(disabled)  # `main` silences the libraries of its process
     return Finished(command, code, output.getvalue(), errors.getvalue())

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import COMMAND, PATIENCE, installed, run
+from commands import COMMAND, PATIENCE, run
 from mcap.writer import Writer as McapWriter
 
 import magyc_gtsam as mg
@@ -226,8 +226,8 @@ def test_stamps_before_the_saved_state_are_told_in_every_report(simulation: mg.S
     """A sensor that was switched off counts from 0 again."""
     lines, at = json_lines(simulation.recording), simulate("wide", duration=20, rate=20, seed=2).recording
     arguments = ("online", "-", "--magnetic-unit", "gauss", "--state", "s")
-    assert installed(*arguments, *IFG, "--quiet", cwd=tmp_path, stdin="\n".join(lines)).returncode == 0
-    finished = installed(*arguments, "--json", cwd=tmp_path, stdin="\n".join(json_lines(at)[:300]))
+    assert run(*arguments, *IFG, "--quiet", cwd=tmp_path, stdin="\n".join(lines)).returncode == 0
+    finished = run(*arguments, "--json", cwd=tmp_path, stdin="\n".join(json_lines(at)[:300]))
     last = json.loads(finished.stdout.splitlines()[-1])
     assert finished.returncode == last["exit_code"] == 1
     assert not last["converged"]
@@ -255,7 +255,7 @@ def test_a_clock_that_goes_back_ends_the_run_with_the_result_before(
     simulation: mg.Simulation, tmp_path: Path
 ) -> None:
     lines = json_lines(simulation.recording)
-    finished = installed(
+    finished = run(
         "online", "-", *IFG, "--magnetic-unit", "gauss", cwd=tmp_path, stdin="\n".join([*lines, *lines[:1000]])
     )
     assert finished.returncode == 0, finished.stderr
@@ -322,7 +322,7 @@ def test_lines_of_json_in_gauss_with_a_bad_one(simulation: mg.Simulation, tmp_pa
     lines = json_lines(recording)
     lines.insert(100, '{"time": 5.0, "magnetic_field": [1, 2]}')
     lines.insert(1000, "Segmentation fault (core dumped)")
-    finished = installed("online", "-", *IFG, "--magnetic-unit", "gauss", cwd=tmp_path, stdin="\n".join(lines))
+    finished = run("online", "-", *IFG, "--magnetic-unit", "gauss", cwd=tmp_path, stdin="\n".join(lines))
     assert "standard input, line 101: " in finished.stderr
     assert "standard input, line 1001: not JSON" in finished.stderr
     found = mg.Calibration.load(tmp_path / "online-calibration.yaml")
@@ -345,7 +345,7 @@ def test_a_pipe_that_is_interrupted_keeps_what_came(simulation: mg.Simulation, t
     process.communicate(timeout=PATIENCE)
     assert process.returncode in (0, 1)
     rest = "\n".join(json_lines(simulation.recording)[1500:])
-    installed("online", "-", "--magnetic-unit", "gauss", "--state", "s", "--quiet", cwd=tmp_path, stdin=rest)
+    run("online", "-", "--magnetic-unit", "gauss", "--state", "s", "--quiet", cwd=tmp_path, stdin=rest)
     found = mg.Calibration.load(tmp_path / "online-calibration.yaml")
     direct = mg.OnlineCalibrator("magyc-ifg", estimate="current")
     at = simulation.recording
@@ -463,7 +463,7 @@ def test_numbers_of_options_need_no_point(
 def test_a_wrong_unit_and_a_state_of_another_method(
     log: Path, simulation: mg.Simulation, tmp_path: Path, inside: Callable[..., tuple[int, str]]
 ) -> None:
-    finished = installed("online", "-", cwd=tmp_path, stdin="\n".join(json_lines(simulation.recording, 50)))
+    finished = run("online", "-", cwd=tmp_path, stdin="\n".join(json_lines(simulation.recording, 50)))
     assert finished.returncode == 2
     assert "read it in its unit (--magnetic-unit)" in finished.stderr
     mg.OnlineCalibrator("magyc-ifg", window=0.5).save(tmp_path / "ifg.state")
