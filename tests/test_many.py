@@ -300,9 +300,7 @@ def test_a_cluster_with_a_worker_killed_gives_the_same_bits(
     assert rows == {str(seed): engine_work.spectrum((seed, 30)) for seed in range(12)}
 
 
-def test_every_compass_of_a_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None
-) -> None:
+def test_every_compass_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None) -> None:
     """Two magnetometers beside one gyroscope: a page and parameters each, and one table."""
     log = tmp_path / "two.mcap"
     irons = ([1e-5, 2e-6, -3e-6], [-8e-6, 1e-5, 4e-6])

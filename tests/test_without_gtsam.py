@@ -6,19 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 BLOCKED = "import sys; sys.modules['gtsam'] = None\n"  # as if it were not installed
-
-
-def blocked(code: str, folder: Path) -> str:
-    """What the code prints in an interpreter that cannot import GTSAM."""
-    result = subprocess.run([sys.executable, "-c", BLOCKED + code], cwd=folder, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
-
-def test_the_main_job(tmp_path: Path) -> None:
-    code = f"""
+MAIN_JOB = f"""
 import magyc_gtsam as mg
 from magyc_gtsam import cli
 log = {str(ROOT / "datasets" / "calibration_dive.mcap")!r}
@@ -33,12 +25,6 @@ assert distance.max() < 0.5, distance
 gap = mg.find_gap(rec.between(rec.time[0], rec.time[0] + 120))
 print(gap.verdict, len(cal.export("px4")) > 100)
 """
-    verdict, exported = blocked(code, tmp_path).split()
-    assert verdict == "none"
-    assert exported == "True"
-    assert (tmp_path / "folder" / "report.html").stat().st_size > 100_000
-
-
 CALLS = {
     "mg.calibrate(rec, 'magyc-bfg')": "method 'magyc-bfg'",
     "mg.calibrate(rec, 'magyc-ifg')": "method 'magyc-ifg'",
@@ -47,12 +33,8 @@ CALLS = {
     "magyc_gtsam.runners.optimize": "magyc_gtsam.runners.optimize",
     "magyc_gtsam.gap.term_factor": "magyc_gtsam.gap.term_factor",
 }
-
-
-def test_what_needs_a_graph_says_so(tmp_path: Path) -> None:
-    code = f"""
-import magyc_gtsam as mg, magyc_gtsam.factors, magyc_gtsam.gap, magyc_gtsam.runners
-rec = mg.simulate("wide", duration=60).recording
+OF_A_GRAPH = f"""
+import magyc_gtsam.factors, magyc_gtsam.gap, magyc_gtsam.runners
 for call in {list(CALLS)!r}:
     try:
         eval(call)
@@ -60,6 +42,24 @@ for call in {list(CALLS)!r}:
     except mg.MagycError as error:
         print(error)
 """
-    said = blocked(code, tmp_path).splitlines()
-    for what, sentence in zip(CALLS.values(), said, strict=True):
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
+    """What both parts print, one after the other, in an interpreter that cannot import GTSAM, and its folder."""
+    folder = tmp_path_factory.mktemp("without")
+    command = [sys.executable, "-c", BLOCKED + MAIN_JOB + OF_A_GRAPH]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.splitlines(), folder
+
+
+def test_the_main_job(said: tuple[list[str], Path]) -> None:
+    (first, *_), folder = said
+    assert first.split() == ["none", "True"]
+    assert (folder / "folder" / "report.html").stat().st_size > 100_000
+
+
+def test_what_needs_a_graph_says_so(said: tuple[list[str], Path]) -> None:
+    for what, sentence in zip(CALLS.values(), said[0][1:], strict=True):
         assert sentence.startswith(f"{what}: needs GTSAM, which is not installed; pip install 'gtsam>=4.3'")
