@@ -59,7 +59,7 @@ def test_it_is_named_and_not_trusted(motion: str, share: float) -> None:
 
 
 def test_other_methods_do_not_trust_it_either() -> None:
-    recording = cut(mg.simulate("wide", seed=1).recording, 0.2)
+    recording = cut(mg.simulate("wide", 200, seed=1).recording, 0.2)
     with pytest.raises(mg.MagycError, match="axis z of the magnetometer cut off at .*; method 'twostep' failed"):
         mg.calibrate(recording, "twostep")
     for method in ("magyc-bfg", "autocal", "magical"):

@@ -68,8 +68,8 @@ def test_what_was_passed_is_named_and_corrected_without_a_channel_that_it_resemb
         assert {"field-gradient", "temperature-hard-iron"} <= set(passed.ambiguous_with)
 
 
-def _without_channels(name: str, motion: str) -> Gap:
-    hidden = Scenario("x", "single", motion, 2, ((name, 1.0),), (), 300.0)
+def _without_channels(name: str, motion: str, strength: float = 1.0, duration: float = 300.0) -> Gap:
+    hidden = Scenario("x", "single", motion, 2, ((name, strength),), (), duration)
     return mg.find_gap(replace(generate(hidden).recording, channels={}))
 
 
@@ -85,7 +85,7 @@ def test_a_bias_that_warms_without_a_thermometer_is_a_drift_that_may_be_that() -
     effects = [
         effect
         for motion in ("moderate", "multi")
-        for effect in _without_channels("temperature-gyro", motion).effects
+        for effect in _without_channels("temperature-gyro", motion, 1.6, 120.0).effects
     ]
     assert {effect.name for effect in effects} == {"gyro-bias-drift"}
     assert all("temperature-gyro" in effect.ambiguous_with for effect in effects)

