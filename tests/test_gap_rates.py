@@ -1,8 +1,8 @@
 """How often the gap workflow is right: over the whole catalogue, what is in none, pairs, missing channels, nothing.
 
 Recordings of two minutes with 2.6 times the published strengths, which stand out a little farther than the strengths
-themselves do in ten minutes. Seeds are drawn by nobody, as those of the
-blind test; `magyc-gtsam study gap` is the long version.
+themselves do in ten minutes. Seeds are drawn by nobody, as those of the blind test; `magyc-gtsam study gap` is the
+long version.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from magyc_gtsam.simulation.effects import FOREIGN, NAMED
 
 EDITION = 303
 SECONDS, FACTOR = 120.0, 2.6
-CLEAN = 2
+CLEAN = 1
+ELSEWHERE = {"timing", "hard-iron-step", "axis-order", "hysteresis"}  # `test_gap_find`, `test_gap_honest`
 PAIRS = {"wide": 0, "multi": 1}  # number of the pair that a motion takes
 WITHHELD = {("temperature-hard-iron", "moderate"): ("temperature",)}  # of a current see `test_gap_find`
 STANDING = {"rejected", "not enough information"}
@@ -67,7 +68,7 @@ def chosen(motion: str, named: int, foreign: int) -> list[Scenario]:
         effects = tuple((name, factor) for name in names)
         return Scenario(label, kind, motion, seed_of(label, EDITION), effects, without, SECONDS)
 
-    visible = [name for name in NAMED[named::3] if name not in INVISIBLE.get(motion, ())]
+    visible = [name for name in NAMED[named::3] if name not in {*INVISIBLE.get(motion, ()), *ELSEWHERE}]
     pairs = [each.names for each in scenarios(motion, 15, EDITION, ["pair"])]
     return [
         *(one("none", 1.0, number=k) for k in range(CLEAN)),
@@ -92,8 +93,7 @@ def test_a_catalogue_on_a_motion(motion: str, named: int, foreign: int) -> None:
     count = {kind: Counter(case.kind for case in of) for kind, of in cases.items()}
     said = "\n".join(str(case) for case in every if case.kind not in (RIGHT, SILENT))
 
-    assert count["none"][SILENT] >= CLEAN - 1, said
-    assert count["none"][WRONG] == 0, said
+    assert count["none"][SILENT] == CLEAN, said
     assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - 1, said
     assert count["single"][WRONG] <= 1, said
     assert count["foreign"][UNKNOWN] >= len(cases["foreign"]) - 1, said
