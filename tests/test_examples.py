@@ -36,7 +36,7 @@ def test_isam2_survey(example, tmp_path):
 
 def test_batch_dive(example):
     main = example("batch_dive").main
-    weighed, trusted = main(), main(robust=None)
+    weighed, trusted = main(100.0), main(100.0, robust=None)
     assert weighed["heading, degrees"] < 0.4
     assert weighed["hard iron, µT"] < 3.5 * weighed["its sigma, µT"] < 1.5
     assert weighed["gyroscope bias, mrad/s"] < 1

@@ -55,7 +55,7 @@ def test_a_value_in_each_log_is_not() -> None:
 
 def test_nothing_is_nothing() -> None:
     random = np.random.default_rng(2)
-    nats = [weigh("misalignment", _tests(random.normal(size=(LOGS, 3)))).nats for _ in range(500)]
+    nats = [weigh("misalignment", _tests(random.normal(size=(LOGS, 3)))).nats for _ in range(250)]
     assert np.mean(np.array(nats) > MODEL.sure) < 0.01
 
 

@@ -265,7 +265,7 @@ def test_two_instruments_are_told_apart(dives: tuple[LogFactor, ...]) -> None:
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_an_error_that_all_logs_have_does_not_average_out(dives: tuple[LogFactor, ...], share: float) -> None:
     """Its share is seen in how much less the logs differ than they state; NEES was over 100 of 8 without it."""
-    plan, squares = SeasonPlan(20, 0.1, 0, 0.0, 0, 0, model_error=(0.005, 0.5), shared=share), []
+    plan, squares = SeasonPlan(12, 0.1, 0, 0.0, 0, 0, model_error=(0.005, 0.5), shared=share), []
     for seed in range(40, 52):
         season = draw_season(seed, dives, plan)
         found = compress(History(season.factors).next, "", None)
