@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
+from scipy.linalg import lapack
 
 from magyc_gtsam.factors.alignment import rotation_of
 from magyc_gtsam.factors.errors import MagycError
@@ -112,7 +114,7 @@ class Delivered:
         self.place = _checked_point(self.details, point)
 
     def _make(self, linear: gtsam.GaussianFactor, point: gtsam.Values) -> None:
-        self.native = gtsam.LinearContainerFactor(_square_root(linear), point)
+        self.native = _quadratic(linear, point)
         self.beside = None if self.details is None else _mounting_part(linear, point, self.details)
 
     def products(self, point: gtsam.Values) -> tuple[Array, Array | None]:
@@ -182,7 +184,7 @@ def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.L
     keys: list[int] = factor.keys()
     if missing := [key_name(key) for key in keys if not point.exists(key)]:
         raise MagycError(f"native factor: no value for {', '.join(missing)}; insert one before")
-    return gtsam.LinearContainerFactor(_square_root(factor.linearize(point)), point)
+    return _quadratic(factor.linearize(point), point)
 
 
 class Sorted(NamedTuple):
@@ -233,9 +235,28 @@ def _checked_point(details: BlockDetails | None, point: gtsam.Values) -> _Checke
     return _CheckedPoint(attitude, soft_iron, details.bias_at(point))
 
 
-def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:
-    """Return an equivalent factor with one row per column of its keys and one for the constant."""
-    return gtsam.JacobianFactor(gtsam.HessianFactor(linear))
+def _quadratic(linear: gtsam.GaussianFactor, point: gtsam.Values) -> gtsam.LinearContainerFactor:
+    """Return the quadratic of a factor linearised at `point`: at most one row per column of its keys and one for the
+    constant.
+
+    By QR, which exists for every Jacobian. The information of a block is always singular and by rounding often
+    indefinite, so that GTSAM's `JacobianFactor(HessianFactor(linear))` may find no square root of it.
+    """
+    if isinstance(linear, gtsam.JacobianFactor) and not linear.isConstrained():
+        rows = linear.augmentedJacobian()
+        count = rows.shape[1]
+        if len(rows) > count:
+            root = lapack.dgeqrf(rows, overwrite_a=True)[0][:count] * _upper(count)
+            keys, dimensions = linear.keys(), point.dims()
+            split = gtsam.VerticalBlockMatrix([dimensions[key] for key in keys], root, True)
+            linear = gtsam.GaussianConditional(keys, 0, split)  # the container stores it as a JacobianFactor
+    return gtsam.LinearContainerFactor(linear, point)
+
+
+@cache
+def _upper(count: int) -> Array:
+    """Return the mask of the upper triangle of a (count, count) matrix; `np.triu` takes as long as the QR."""
+    return np.triu(np.ones((count, count)))
 
 
 def _mounting_part(

@@ -341,6 +341,39 @@ def test_native_factor_is_the_linearisation_and_pickles():
     )
 
 
+@pytest.mark.parametrize("noise", [1e-9, 0.5e-6])
+def test_every_block_has_a_quadratic(noise):
+    """The information of these blocks is singular, and often indefinite by rounding: 1 in 20, and 1 in 2 at 1 nT."""
+    random, time = np.random.default_rng(0), np.arange(-2.1, 0.1, 0.02)
+    values = point()
+    for samples in [4, 20] * 20:
+        field = FIELD + noise * random.normal(size=(samples, 3))
+        rates = 0.1 * random.normal(size=3) + 1e-5 * random.normal(size=(len(time), 3))
+        of = KeyframeField.from_samples((np.linspace(-2, 0, samples), field), (time, rates), 0.0)
+        factor = keyframe_field_factor(
+            X(0), A(0), H(0), of, noise, gyro_bias_key=B(0), field=FIELD, field_unit=50e-6
+        )
+        values.update(X(0), gtsam.Pose3(gtsam.Rot3.Expmap(2 * random.normal(size=3)), np.zeros(3)))
+        linear, native = factor.linearize(values), native_factor(factor, values)
+        exact = linear.augmentedInformation()
+        found = native.linearize(values)
+        assert found.keys() == linear.keys()
+        assert len(found.augmentedJacobian()) <= len(exact)
+        assert np.abs(found.augmentedInformation() - exact).max() < 1e-13 * np.abs(exact).max()
+        assert native.error(values) == pytest.approx(factor.error(values), rel=1e-12)
+
+
+def test_native_factor_leaves_what_is_a_quadratic_or_holds_exactly():
+    values = point()
+    information = gtsam.HessianFactor(H(0), np.diag([1.0, 2.0, 0.0]), np.array([3.0, 4.0, 0.0]), 0.0)
+    native = native_factor(gtsam.LinearContainerFactor(information, values.extract([H(0)])), values)
+    np.testing.assert_array_equal(
+        native.linearize(values).augmentedInformation(), information.augmentedInformation()
+    )
+    held = gtsam.PriorFactorPoint3(H(0), np.zeros(3), gtsam.noiseModel.Constrained.All(3))
+    assert native_factor(held, values).linearize(values).isConstrained()
+
+
 # --- a small SLAM graph in every solver ---------------------------------------------------------------
 
 
