@@ -84,7 +84,7 @@ class KeyframeBuffer:
 
         Args:
             keyframe: s, the time of the attitude that the block refers to.
-            bias: (3,) rad/s, the graph's present estimate.
+            bias: (3,) rad/s in the body frame, the graph's present estimate.
 
         Raises:
             MagycError: as `KeyframeField.from_samples`.

@@ -18,9 +18,20 @@ from magyc_gtsam.factors.guard import Residual, check_kind, custom_factor
 from magyc_gtsam.factors.kernels import robustify, tuning_constant
 from magyc_gtsam.factors.keyframe_field import KeyframeField
 from magyc_gtsam.factors.one_thread import one_thread
-from magyc_gtsam.factors.pose import MICROTESLA, given_keys, known_field
+from magyc_gtsam.factors.pose import MICROTESLA, given_keys, known_field, sensor_rotation
 from magyc_gtsam.factors.units import check_noise, check_rate_noise
-from magyc_gtsam.factors.variables import Array, attitude, direction, gyro_bias, mounting, reader, scalar, vector
+from magyc_gtsam.factors.variables import (
+    Array,
+    Variable,
+    attitude,
+    direction,
+    gyro_bias,
+    mounting,
+    reader,
+    rotated,
+    scalar,
+    vector,
+)
 
 _EARTH_FIELD = 50e-6  # T, used only to widen a block's sigma where the field is a variable
 _TURNS = skew(np.eye(3)).transpose(2, 0, 1)  # [p]× = Σ p_e [e]×; the matrices' columns are the first axis
@@ -42,6 +53,7 @@ class BlockDetails:
         field_unit: T per unit of the keys.
         robust: the kernel's name.
         gyro_bias_key: as given.
+        gyro_bias: how its node is read, in body axes.
         more_keys: whether it has keys besides attitude, soft and hard iron and bias.
         width: factor of the kernel's tuning constant, at least 1: a kernel starts wide and narrows as the graph
             settles (`NativeFactors`, `runners.Incremental`).
@@ -65,6 +77,7 @@ class BlockDetails:
     field_unit: float
     robust: str | None
     gyro_bias_key: int | None
+    gyro_bias: Variable
     more_keys: bool
     width: float = 1.0
     misfit: float = float("nan")
@@ -74,10 +87,10 @@ class BlockDetails:
     @cached_property
     def _read_bias(self) -> Callable[[gtsam.Values], tuple[Array, Array | None]]:
         assert self.gyro_bias_key is not None
-        return reader("keyframe field", gyro_bias, self.gyro_bias_key)
+        return reader("keyframe field", self.gyro_bias, self.gyro_bias_key)
 
     def bias_at(self, point: gtsam.Values) -> Array:
-        """Return the gyroscope bias (3,) in rad/s at which the block is evaluated."""
+        """Return the gyroscope bias (3,) in rad/s, body axes, at which the block is evaluated."""
         return self.block.bias if self.gyro_bias_key is None else self._read_bias(point)[0]
 
     @cached_property
@@ -110,6 +123,7 @@ def keyframe_field_factor(
     field_key: int | None = None,
     mounting_key: int | None = None,
     delay_key: int | None = None,
+    body_R_gyroscope: gtsam.Rot3 | None = None,
     gyroscope_noise: float = 0.0,
     robust: str | None = None,
     tuning: float | None = None,
@@ -124,19 +138,23 @@ def keyframe_field_factor(
         hard_iron_key: h, 3-vector or `Point3`, `field_unit`.
         block: as returned by `KeyframeField.from_samples` or `KeyframeBuffer.close`.
         noise: T per sample and axis.
-        gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`; without it the block stays integrated at its own bias.
+        gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`, in the axes of the body, or in others with
+            `body_R_gyroscope`; without it the block stays integrated at its own bias.
         field: (3,) T, the world's field, or its strength, a number.
         field_key: f as a variable, 3-vector or `Point3`, `field_unit`.
         mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`); without it the block's own is held.
         delay_key: τ as a variable, s, double or 1-vector (`delay_prior`); without it the block's own is held.
+        body_R_gyroscope: from the axes of the bias node to the body's; None is the identity. With GTSAM's
+            `setBodyPSensor` the node is in the IMU's axes, and this is `body_P_sensor.rotation()`. The rates and the
+            bias of the block stay in body axes.
         gyroscope_noise: rad/s per sample and axis; `noise` is widened by its contribution inside the block.
         robust: name of a kernel that weights every sample separately; the samples are then not compressed.
         tuning: constant of the kernel; default 95 % efficiency.
         field_unit: T per unit of the keys h and f.
 
     Raises:
-        MagycError: neither or both of `field` and `field_key`, `tuning` without `robust`, implausible units, or
-            numbers that are not finite.
+        MagycError: neither or both of `field` and `field_key`, `tuning` without `robust`, `body_R_gyroscope` without
+            `gyro_bias_key`, implausible units, or numbers that are not finite.
     """
     name = "keyframe field"
     if isinstance(noise, gtsam.noiseModel.Base):
@@ -147,6 +165,11 @@ def keyframe_field_factor(
     check_kind(f"{name}: `block`", block, KeyframeField, "what KeyframeBuffer.close returns")
     if tuning is not None and robust is None:
         raise MagycError(f"{name}: `tuning` without `robust`; name the kernel")
+    if body_R_gyroscope is not None and gyro_bias_key is None:
+        raise MagycError(
+            f"{name}: `body_R_gyroscope` without `gyro_bias_key`; it turns the bias node only: give the key, or leave "
+            "it out and rotate the block's rates and bias into body axes"
+        )
     check_noise(name, noise)
     check_rate_noise(name, gyroscope_noise)
     known = known_field(name, field, field_key, field_unit, strength=True)
@@ -155,8 +178,11 @@ def keyframe_field_factor(
     whole_sigma = float(np.hypot(noise, added))
     sigma = whole_sigma / field_unit
     constant = None if robust is None else tuning_constant(robust, 3, tuning)
+    bias = gyro_bias
+    if body_R_gyroscope is not None:
+        bias = rotated(gyro_bias, sensor_rotation(body_R_gyroscope, f"{name}: body_R_gyroscope"))
     extra = given_keys(
-        (gyro_bias_key, gyro_bias), (field_key, vector(3)), (mounting_key, mounting), (delay_key, scalar)
+        (gyro_bias_key, bias), (field_key, vector(3)), (mounting_key, mounting), (delay_key, scalar)
     )
     late = delay_key is not None
     whole = block.with_delay() if late else block
@@ -166,15 +192,15 @@ def keyframe_field_factor(
     details = BlockDetails(
         attitude_key, soft_iron_key, hard_iron_key, field_key, rows, mean_turn, share @ rows.field, whole_sigma,
         None if known is None else known * field_unit, field_unit, robust, gyro_bias_key,
-        len(extra) > (gyro_bias_key is not None),
+        bias, len(extra) > (gyro_bias_key is not None),
     )  # fmt: skip
     if mounting_key is None and not details.on_direction:
 
         def freed(key: int) -> gtsam.CustomFactor:
             return keyframe_field_factor(
                 attitude_key, soft_iron_key, hard_iron_key, rows, noise, gyro_bias_key=gyro_bias_key, field=field,
-                field_key=field_key, mounting_key=key, delay_key=delay_key, gyroscope_noise=gyroscope_noise,
-                robust=robust, tuning=tuning, field_unit=field_unit,
+                field_key=field_key, mounting_key=key, delay_key=delay_key, body_R_gyroscope=body_R_gyroscope,
+                gyroscope_noise=gyroscope_noise, robust=robust, tuning=tuning, field_unit=field_unit,
             )  # fmt: skip
 
         details.freed = freed

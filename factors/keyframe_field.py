@@ -52,7 +52,7 @@ class KeyframeField:
         design: (k, 3, 12) G of k samples or of their compressed rows; (k, 3, 15) with the delay in y.
         share: (k,) coefficient of the hard iron: 1 for a sample.
         field: (k, 3) T, measured.
-        bias: (3,) rad/s, b₀, at which the gyroscope was integrated.
+        bias: (3,) rad/s in the body frame, b₀, at which the gyroscope was integrated.
         samples: number of magnetometer samples.
         spread: s²; σ_g² times it is the variance of the samples' mean rotation about the keyframe.
         body_R_sensor: (3, 3) ᵇRₛ, the mounting contained in G.
@@ -95,7 +95,7 @@ class KeyframeField:
             gyroscope: time (g,) s, strictly ascending, across all those times and the keyframe's; angular
                 rate (g, 3) rad/s in the body frame, values AT their stamps.
             keyframe: s, the time of the attitude, best in the samples' middle.
-            bias: (3,) rad/s, linearisation point, best the graph's own estimate.
+            bias: (3,) rad/s in the body frame, linearisation point, best the graph's own estimate.
             body_R_sensor: magnetometer→body.
             delay: s by which the magnetometer lags the gyroscope; the stamps are moved by it.
             interval_mean: the rates are means since the previous stamp instead.

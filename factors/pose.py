@@ -75,11 +75,11 @@ def check_rotation(name: str, rotation: gtsam.Rot3) -> None:
     check_kind(name, rotation, gtsam.Rot3, "a gtsam.Rot3, for example gtsam.Rot3(matrix) of a (3, 3) matrix")
 
 
-def sensor_rotation(body_R_sensor: gtsam.Rot3 | None) -> Array:
+def sensor_rotation(body_R_sensor: gtsam.Rot3 | None, name: str = "body_R_sensor") -> Array:
     """Return ᵇRₛ (3, 3), sensor→body; None is the identity."""
     if body_R_sensor is None:
         return np.eye(3)
-    check_rotation("body_R_sensor", body_R_sensor)
+    check_rotation(name, body_R_sensor)
     return body_R_sensor.matrix()
 
 

@@ -104,6 +104,19 @@ scalar: Variable = MappingProxyType(
 """A number, read as (1,)."""
 
 
+def rotated(variable: Variable, rotation: Array) -> Variable:
+    """Return the variable of a vector (3,) that is read as `rotation` (3, 3) times what its key holds."""
+
+    def rotating(read: Reader) -> Reader:
+        def read_rotated(values: gtsam.Values, key: int) -> tuple[Array, Array]:
+            value, tangent = read(values, key)
+            return rotation @ value, rotation if tangent is None else rotation @ tangent
+
+        return read_rotated
+
+    return MappingProxyType({name: rotating(read) for name, read in variable.items()})
+
+
 def choose(name: str, variable: Variable, values: gtsam.Values, key: int) -> Reader:
     """Return the reader of the type that the key holds.
 

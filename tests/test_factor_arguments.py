@@ -52,6 +52,7 @@ NOISE = SensorNoise(1e-6, 5e-3)
 LINK = FieldLink(np.eye(3), -np.eye(3), np.zeros(3), 0.01)
 ROUND, SURE = np.eye(3), 1e-12 * np.eye(9)
 COLUMNS = np.ones((3, 3, len(SAMPLES.starts)))
+BLOCK = KeyframeField.from_samples((TIME, 4e-5 * RATE), (TIME, RATE), 3.0)
 
 
 def magnetometer(noise: Any = 1e-6, **options: Any) -> Any:
@@ -116,12 +117,21 @@ CASES: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...], str]] = {
         "keyframe field: delay",
     ),
     "noise of a block's gyroscope": (
-        lambda sigma: keyframe_field_factor(
-            *KEYS, KeyframeField.from_samples((TIME, 4e-5 * RATE), (TIME, RATE), 3.0), 1e-6, field=WORLD,
-            gyroscope_noise=sigma,
-        ),
+        lambda sigma: keyframe_field_factor(*KEYS, BLOCK, 1e-6, field=WORLD, gyroscope_noise=sigma),
         ("a", None, np.nan, 30.0),
         "gyroscope noise of",
+    ),
+    "axes of a bias node": (
+        lambda rotation: keyframe_field_factor(
+            *KEYS, BLOCK, 1e-6, field=WORLD, gyro_bias_key=7, body_R_gyroscope=rotation
+        ),
+        (np.eye(3), gtsam.Pose3()),
+        "keyframe field: body_R_gyroscope is a .*; give a gtsam",
+    ),
+    "axes of no bias node": (
+        lambda rotation: keyframe_field_factor(*KEYS, BLOCK, 1e-6, field=WORLD, body_R_gyroscope=rotation),
+        (gtsam.Rot3(),),
+        "keyframe field: `body_R_gyroscope` without `gyro_bias_key`",
     ),
     "units of a chain": (lambda unit: chain(field_unit=unit), ("a", None, 0, -1e-6), "^field_unit"),
     "soft iron unit": (lambda unit: chain(soft_iron_unit=unit), ("a", 0), "^soft_iron_unit"),

@@ -25,6 +25,7 @@ from magyc_gtsam.factors import (
     unvech,
     vech,
 )
+from magyc_gtsam.factors.guard import factor_details
 
 FIELD = np.array([22.7, 5.2, 41.2]) * 1e-6
 IDENTITY = np.array([1.0, 0, 0, 1, 0, 1])
@@ -69,6 +70,35 @@ def test_jacobian_is_the_derivative(attitude, constant_bias, robust):
     numeric = derivative(factor.whitenedError, values, factor.keys())
     np.testing.assert_allclose(-right, factor.whitenedError(values), atol=1e-12)
     np.testing.assert_allclose(jacobian, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("attitude", ["Pose3", "Unit3"])
+@pytest.mark.parametrize("constant_bias", [True, False])
+def test_the_bias_node_may_be_in_the_axes_of_the_gyroscope(constant_bias, attitude):
+    """The same residual as with the node in body axes; Jacobians on every key; the quadratic follows."""
+    turn = gtsam.Rot3.RzRyRx(3.0, -0.4, 1.5)
+    field = {"field": 50e-6} if attitude == "Unit3" else {"field": FIELD, "mounting_key": 7}
+
+    def factor(**options):
+        return keyframe_field_factor(X(0), A(0), H(0), block(), 1e-5, gyro_bias_key=B(0), **field, **options)
+
+    there, plain = factor(body_R_gyroscope=turn), factor()
+    values = point(attitude, constant_bias)
+    values.insert(7, MOUNTING)
+    body, gyroscope = gtsam.Values(values), gtsam.Values(values)
+    bias = np.array([0.03, -0.02, 0.05])  # rad/s, body axes
+    gyroscope.erase(B(0))
+    inner = turn.matrix().T @ bias
+    gyroscope.insert(B(0), gtsam.imuBias.ConstantBias(np.ones(3), inner) if constant_bias else inner)
+    np.testing.assert_allclose(there.whitenedError(gyroscope), plain.whitenedError(body), atol=1e-12)
+    jacobian, right = there.linearize(gyroscope).jacobian()
+    numeric = derivative(there.whitenedError, gyroscope, there.keys())
+    np.testing.assert_allclose(-right, there.whitenedError(gyroscope), atol=1e-12)
+    np.testing.assert_allclose(jacobian, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())
+    np.testing.assert_allclose(factor_details(there).bias_at(gyroscope), bias, atol=1e-15)
+    exact = there.linearize(gyroscope).augmentedInformation()
+    native = native_factor(there, gyroscope).linearize(gyroscope).augmentedInformation()
+    np.testing.assert_allclose(native, exact, atol=1e-12 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize("robust", [None, "cauchy"])

@@ -208,7 +208,16 @@ def test_a_quadratic_is_made_anew_at_its_first_look_where_it_is_less_stale_than_
         assert (delivered.native is not native) is anew
 
 
-@pytest.mark.parametrize("options", [{}, {"delay_key": 5}, {"gyro_bias_key": 4}, {"robust": "cauchy"}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"delay_key": 5},
+        {"gyro_bias_key": 4},
+        {"robust": "cauchy"},
+        {"gyro_bias_key": 4, "body_R_gyroscope": gtsam.Rot3.RzRyRx(3.0, -0.4, 1.5)},
+    ],
+)
 def test_a_block_tells_what_its_held_mounting_would_do(options):
     """The columns that it keeps beside its own are those of the factor with the mounting as a variable."""
     random, time = np.random.default_rng(7), np.arange(0, 1, 0.01)

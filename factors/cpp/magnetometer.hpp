@@ -64,7 +64,7 @@ struct Block {
   Eigen::MatrixXd design;      ///< (3k, 12), rows of sample 0 first; columns v, then delta_j v
   Eigen::VectorXd share;       ///< (k)
   Eigen::VectorXd field;       ///< (3k), in the unit of the hard iron
-  Vector3 bias;                ///< rad/s, at which the gyroscope was integrated
+  Vector3 bias;                ///< rad/s in the body frame, at which the gyroscope was integrated
   Matrix3 mounting;            ///< S0, the mounting contained in the design
   double sigma;                ///< in the unit of the hard iron
 };
@@ -74,7 +74,7 @@ struct BlockJacobians {
   Eigen::MatrixXd rotation, soft_iron, hard_iron, gyro_bias, field, mounting;
 };
 
-/// Return the whitened residual of a block.
+/// Return the whitened residual of a block; the gyroscope's bias is in the body frame.
 inline Eigen::VectorXd block_error(const Block& block, const Matrix3& rotation, const Vector6& soft_iron,
                                    const Vector3& hard_iron, const Vector3& gyro_bias, const Vector3& field,
                                    const Matrix3& mounting, BlockJacobians* jacobians = nullptr) {
