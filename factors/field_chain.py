@@ -26,8 +26,8 @@ from magyc_gtsam.factors.chain.chain_values import (
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.guard import check_delay, check_kind, custom_factor, standard_deviation
-from magyc_gtsam.factors.pose import check_unit, given_keys
-from magyc_gtsam.factors.units import check_noise, check_rate_noise, check_rates, check_readings
+from magyc_gtsam.factors.pose import given_keys
+from magyc_gtsam.factors.units import check_noise, check_rate_noise, check_rates, check_readings, check_unit
 from magyc_gtsam.factors.variables import Array, Variable, gyro_bias, scalar, skew_angles, vector
 
 _MOVED = 2e-3  # rad, rotation of a window by a changed bias or delay from which the gyroscope is integrated again

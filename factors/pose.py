@@ -23,11 +23,13 @@ from magyc_gtsam.factors.chain.rotations import exponential_matrices, skew
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Noise, Residual, check_delay, check_kind, custom_factor, measured
-from magyc_gtsam.factors.numbers import is_positive
-from magyc_gtsam.factors.units import check_field, check_noise, check_rates, check_readings
+from magyc_gtsam.factors.units import check_field, check_noise, check_rates, check_readings, check_unit
 from magyc_gtsam.factors.variables import Array, Variable, attitude, direction, mounting, scalar, vector
 
 MICROTESLA = 1e-6
+_NO_ROTATION = (
+    2e-3  # distance of an element from that of the nearest rotation; with three decimals it is below 1e-3
+)
 
 
 def body_field(body_R_sensor: Array, rotation: Array, field: Array) -> tuple[Array, Array, Array]:
@@ -64,15 +66,15 @@ def known_field(
     return known / field_unit
 
 
-def check_unit(field_unit: float, name: str = "field_unit") -> None:
-    """Raise an error for a unit that is not a positive number of T."""
-    if not is_positive(field_unit):
-        raise MagycError(f"{name} {field_unit!r:.40}; it must be a number, finite and above 0 T")
-
-
 def check_rotation(name: str, rotation: gtsam.Rot3) -> None:
-    """Raise an error for a rotation that is no `Rot3`."""
+    """Raise an error for a rotation that is no `Rot3`, or one of a matrix that is no rotation, which GTSAM takes."""
     check_kind(name, rotation, gtsam.Rot3, "a gtsam.Rot3, for example gtsam.Rot3(matrix) of a (3, 3) matrix")
+    matrix = rotation.matrix()
+    if not np.abs(matrix - gtsam.Rot3.ClosestTo(matrix).matrix()).max() <= _NO_ROTATION:
+        raise MagycError(
+            f"{name} {np.round(matrix, 4).tolist()}; it must be a rotation: rows of length 1, at right angles and of "
+            "determinant 1; round with gtsam.Rot3.ClosestTo(matrix); if an axis is reversed, reverse it in the readings"
+        )
 
 
 def sensor_rotation(body_R_sensor: gtsam.Rot3 | None, name: str = "body_R_sensor") -> Array:

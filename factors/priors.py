@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech, vech
+from magyc_gtsam.factors.covariance import root_information
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import (
     Noise,
@@ -26,9 +27,17 @@ from magyc_gtsam.factors.guard import (
     standard_deviation,
     standard_deviations,
 )
-from magyc_gtsam.factors.numbers import is_positive, real_array
-from magyc_gtsam.factors.pose import MICROTESLA, check_rotation, check_unit
-from magyc_gtsam.factors.units import check_field, check_readings
+from magyc_gtsam.factors.numbers import is_positive
+from magyc_gtsam.factors.pose import MICROTESLA, check_rotation
+from magyc_gtsam.factors.units import (
+    check_bias_walk,
+    check_elapsed,
+    check_field,
+    check_late,
+    check_readings,
+    check_turn,
+    check_unit,
+)
 from magyc_gtsam.factors.variables import Array, vector
 
 _HELD_MOUNTING = 1e-5  # rad
@@ -75,12 +84,14 @@ def mounting_prior(
             the two.
 
     Raises:
-        MagycError: no key, no rotation, or a standard deviation that is not above 0.
+        MagycError: no key, no rotation, or a standard deviation that is not above 0 or above a quarter turn.
     """
     (key,) = checked_keys("mounting prior", [mounting_key], 1)
     rotation = gtsam.Rot3() if body_R_sensor is None else body_R_sensor
     check_rotation("mounting prior: body_R_sensor", rotation)
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, standard_deviation(sigma, "mounting prior"))
+    deviation = standard_deviation(sigma, "mounting prior")
+    check_turn("mounting prior", deviation)
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, deviation)
     return gtsam.PriorFactorRot3(key, rotation, noise)
 
 
@@ -93,11 +104,14 @@ def delay_prior(delay_key: int, delay: float = 0.0, sigma: float = _HELD_DELAY) 
         sigma: s; the default holds the delay.
 
     Raises:
-        MagycError: no key, a delay that is not finite, or a standard deviation that is not above 0.
+        MagycError: no key, a delay that is not finite or above 10 s, or a standard deviation that is not above 0 or
+            above 1 s.
     """
     (key,) = checked_keys("delay prior", [delay_key], 1)
     check_delay("delay prior", delay)
-    noise = gtsam.noiseModel.Isotropic.Sigma(1, standard_deviation(sigma, "delay prior"))
+    deviation = standard_deviation(sigma, "delay prior")
+    check_late("delay prior", delay, deviation)
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, deviation)
     return gtsam.PriorFactorDouble(key, float(delay), noise)
 
 
@@ -120,8 +134,9 @@ def calibration_prior(
         field_unit: T per unit of the key h.
 
     Raises:
-        MagycError: keys that are none or the same, a soft iron that is not finite or not symmetric, a singular
-            covariance, such as that of a soft iron of determinant 1, or a hard iron that is not in T.
+        MagycError: keys that are none or the same, a soft iron that is not finite, not symmetric or not positive
+            definite, a covariance that is not symmetric or is singular, such as that of a soft iron of determinant 1,
+            or a hard iron that is not in T.
     """
     keys = checked_keys("calibration prior", [soft_iron_key, hard_iron_key], 2)
     check_unit(field_unit)
@@ -131,27 +146,15 @@ def calibration_prior(
             f"calibration prior: soft iron {iron.tolist()}; it must be symmetric, since its key holds the upper "
             "triangle only; a rotation beside it is a mounting"
         )
+    least = float(np.linalg.eigvalsh(iron)[0])
+    if least <= 0:
+        raise MagycError(
+            f"calibration prior: soft iron with an eigenvalue of {least:.4g}; it must be positive definite, all above "
+            "0: a sensor with an axis reversed or axes exchanged needs them put right in its readings first"
+        )
     offset = measured("calibration prior: hard iron", hard_iron, (3,))
     check_readings("calibration prior: hard iron", offset)
-    try:
-        stated = real_array(covariance)
-    except (TypeError, ValueError) as error:
-        raise MagycError(f"calibration prior: covariance is not an array of numbers ({error})") from None
-    if stated.ndim != 2 or min(stated.shape) < 9:
-        raise MagycError(
-            f"calibration prior: a covariance of shape {stated.shape}, expected (9, 9) or larger; some methods give "
-            "none, `smoother` does"
-        )
-    unit = np.concatenate([np.ones(6), np.full(3, field_unit)])
-    spread = stated[:9, :9] / unit / unit[:, None]
-    scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    correlation = spread / scale / scale[:, None]
-    if not np.isfinite(spread).all() or np.linalg.eigvalsh(correlation)[0] < 1e-9:
-        raise MagycError(
-            "calibration prior: the covariance is singular, as where the soft iron's determinant is fixed at 1; "
-            "calibrate with `field_strength` given, or leave that constraint to the graph"
-        )
-    root = np.linalg.inv(np.linalg.cholesky(correlation)) / scale
+    root = root_information("calibration prior", covariance, field_unit)
     point = gtsam.Values()
     point.insert(keys[0], vech(iron))
     point.insert(keys[1], offset / field_unit)
@@ -198,7 +201,7 @@ def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
         sigma: change per √hour of each entry, one or six; 1e-3 is a tenth of a percent in an hour.
 
     Raises:
-        MagycError: keys that are none or the same, or numbers that are not above 0.
+        MagycError: keys that are none or the same, numbers that are not above 0, or more than 32 years.
     """
     first, second = _two_nodes(first_key, second_key)
     return gtsam.BetweenFactorVector(first, second, np.zeros(6), _grown(sigma, 6, elapsed))
@@ -237,10 +240,12 @@ def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
         sigma: rad/s per √hour, one or three.
 
     Raises:
-        MagycError: as `soft_iron_walk`.
+        MagycError: as `soft_iron_walk`, or `sigma` above 10 rad/s.
     """
     first, second = _two_nodes(first_key, second_key)
-    return gtsam.BetweenFactorPoint3(first, second, np.zeros(3), _grown(sigma, 3, elapsed))
+    deviation = standard_deviations("gyro bias walk", sigma, 3)
+    check_bias_walk("gyro bias walk", deviation)
+    return gtsam.BetweenFactorPoint3(first, second, np.zeros(3), _grown(deviation, 3, elapsed))
 
 
 def _two_nodes(first_key: int, second_key: int) -> tuple[int, int]:
@@ -259,5 +264,6 @@ def _grown(sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diag
             f"random walk over {elapsed!r:.40} s; it must be a number, finite and above 0 (a calibration that does not "
             "change needs one node, or a walk too small to matter)"
         )
+    check_elapsed("random walk", elapsed)
     deviation = standard_deviations("random walk per √hour", sigma, size) * np.sqrt(elapsed / _HOUR)
     return gtsam.noiseModel.Diagonal.Sigmas(deviation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,12 @@ class LargestReadings:
         reading: T, largest magnetometer reading; a hard iron of ten times the field stays far below it.
         rate: rad/s, twice the range of the fastest common gyroscopes (2000 deg/s).
         rate_noise: rad/s, standard deviation of a gyroscope sample.
+        unit: T per unit of a key: from the picotesla of an observatory to graphs in SI.
+        turn: rad, standard deviation of a mounting; from a quarter turn on it says nothing.
+        delay: s, of the magnetometer; longer than any filter or radio link.
+        delay_sigma: s, standard deviation of a delay that is a variable; a block lasts about as long.
+        bias_walk: rad/s per √hour; it allows a gyroscope to change by 9 deg/s within a second.
+        elapsed: s between two nodes, 32 years; below any present time stamp in s since 1970.
     """
 
     field: tuple[float, float] = (8e-6, 175e-6)
@@ -30,6 +37,12 @@ class LargestReadings:
     reading: float = 10e-3
     rate: float = 70.0
     rate_noise: float = 0.5
+    unit: tuple[float, float] = (1e-12, 1.0)
+    turn: float = math.pi / 2
+    delay: float = 10.0
+    delay_sigma: float = 1.0
+    bias_walk: float = 10.0
+    elapsed: float = 1e9
 
 
 LIMITS = LargestReadings()
@@ -84,6 +97,47 @@ def check_rate_noise(name: str, sigma: float) -> None:
             f"{name}: gyroscope noise of {_shown(sigma)} rad/s; it must be a number between 0 and "
             f"{LIMITS.rate_noise:g}; give it in rad/s"
         )
+
+
+def check_unit(field_unit: float, name: str = "field_unit") -> None:
+    """Raise an error for a unit of a key that is not a number of T, or that no graph has."""
+    low, high = LIMITS.unit
+    if not (is_finite(field_unit) and low <= field_unit <= high):
+        raise MagycError(
+            f"{name} {field_unit!r:.40}; it must be a number between {low:g} and {high:g}, in T per unit of the key: "
+            "1e-6 for a key in µT"
+        )
+
+
+def check_turn(name: str, sigma: float) -> None:
+    """Raise an error for a standard deviation of a mounting, in rad, that is likely in degrees."""
+    _check_largest(
+        f"{name}: standard deviation", sigma, LIMITS.turn, "rad", "likely unit: degrees; give it in rad"
+    )
+
+
+def check_late(name: str, delay: float, sigma: float) -> None:
+    """Raise an error for a delay and its standard deviation, in s, that are likely in ms."""
+    remedy = "likely unit: ms; give it in s"
+    _check_largest(f"{name}: delay", delay, LIMITS.delay, "s", remedy)
+    _check_largest(f"{name}: standard deviation", sigma, LIMITS.delay_sigma, "s", remedy)
+
+
+def check_bias_walk(name: str, sigma: Array) -> None:
+    """Raise an error for changes of a gyroscope's bias, in rad/s per √hour, that are likely in degrees."""
+    remedy = "likely unit: deg/s or deg/h; give it in rad/s per √hour"
+    _check_largest(name, float(sigma.max()), LIMITS.bias_walk, "rad/s per √hour", remedy)
+
+
+def check_elapsed(name: str, elapsed: float) -> None:
+    """Raise an error for a time between two nodes, in s, that is likely in another unit or a time stamp."""
+    remedy = "32 years; likely in ns, µs or ms, or a time stamp: give the time between the two nodes in s"
+    _check_largest(name, elapsed, LIMITS.elapsed, "s", remedy)
+
+
+def _check_largest(name: str, value: float, limit: float, unit: str, remedy: str) -> None:
+    if abs(value) > limit * (1 + _ROUNDING):
+        raise MagycError(f"{name} of {value:.4g} {unit}; it must be at most {limit:.4g} {unit}; {remedy}")
 
 
 def _shown(value: object) -> str:

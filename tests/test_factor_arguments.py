@@ -13,6 +13,7 @@ import pytest
 import magyc_gtsam as mg
 from magyc_gtsam.factors import (
     FieldLink,
+    KeyframeBuffer,
     KeyframeField,
     MagycError,
     Preintegration,
@@ -185,6 +186,51 @@ CASES: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...], str]] = {
         (KEYS[0],),
         "native factor: no value for a0",
     ),
+    "triangle of a covariance": (
+        lambda fill: known(covariance=1e-12 * fill(np.full((12, 12), 0.5) + 0.5 * np.eye(12))),
+        (np.triu, np.tril),
+        "calibration prior: a covariance that is not symmetric: .* in row 0, column 1, but .* fill both triangles",
+    ),
+    "unit of a covariance": (
+        lambda sigma: known(covariance=np.diag(np.r_[np.full(6, 1e-6), np.full(3, sigma**2)])),
+        (0.1, 1.0),
+        "calibration prior: standard deviation of the hard iron: .* below 10 mT",
+    ),
+    "soft iron of no sensor": (
+        known,
+        (-np.eye(3), np.diag([1.0, 1.0, -1.0]), np.diag([1.0, 1.0, 0.0]), ROUND + 2 * (np.ones((3, 3)) - ROUND)),
+        "calibration prior: soft iron with an eigenvalue of .*; it must be positive definite",
+    ),
+    "no rotation": (
+        lambda diagonal: KeyframeBuffer(body_R_sensor=gtsam.Rot3(np.diag(diagonal))),
+        ([1.0, 1.0, -1.0], [2.0, 1.0, 1.0], [1.0, 1.0, 0.99], [1.0, 1.0, np.nan]),
+        r"body_R_sensor \[\[.*; it must be a rotation: .* gtsam\.Rot3\.ClosestTo",
+    ),
+    "unit in µT": (
+        lambda unit: keyframe_field_factor(*KEYS, BLOCK, 1e-6, field=WORLD, field_unit=unit),
+        (50, 50.0, 1e-15),
+        "field_unit .*; it must be a number between 1e-12 and 1, in T per unit of the key",
+    ),
+    "degrees of a mounting": (
+        lambda sigma: mounting_prior(1, sigma=sigma),
+        (2, 3.0),
+        "mounting prior: standard deviation of .* rad; it must be at most 1.571 rad; likely unit: degrees",
+    ),
+    "milliseconds of a delay": (
+        lambda given: delay_prior(1, *given),
+        ((20.0, 0.5), (-20.0, 0.5), (0.02, 5.0)),
+        "delay prior: .* s; it must be at most .* s; likely unit: ms",
+    ),
+    "degrees of a bias": (
+        lambda sigma: gyro_bias_walk(1, 2, 60.0, sigma),
+        (500.0, [1e-3, 1e-3, 20.0]),
+        "gyro bias walk of .* rad/s per √hour; it must be at most 10 rad/s per √hour; likely unit: deg",
+    ),
+    "nanoseconds of a walk": (
+        lambda elapsed: hard_iron_walk(1, 2, elapsed, 1e-7),
+        (60e9, 1.76e9),
+        "random walk of .* s; it must be at most 1e[+]09 s; 32 years; likely in ns",
+    ),
     "side": (lambda side: effects(side=side), (3, None, "left", ["left"]), "neither 'magnetometer' nor 'gyroscope'"),
     "shape": (lambda shape: sphere_factor(*KEYS, READING, 1.0, shape=shape), (["full"], 3), "shape .* unknown"),
     "kernel": (
@@ -202,6 +248,17 @@ def test_a_wrong_argument_is_named(case: str) -> None:
     for value in values:
         with pytest.raises(MagycError, match=words):
             call(value)
+
+
+def test_what_is_large_but_may_be_meant_is_taken() -> None:
+    mounting_prior(1, sigma=np.pi / 2)
+    delay_prior(1, -10.0, 1.0)
+    gyro_bias_walk(1, 2, 1.0, 10.0)
+    hard_iron_walk(1, 2, 1e9, 1e-7, field_unit=1.0)
+    weak = np.diag(np.r_[np.ones(6), np.full(3, 1e-6)])
+    weak[0, 1] = weak[1, 0] * (1 + 1e-6) + 1e-7  # a covariance from an inverse
+    known(covariance=weak)
+    KeyframeBuffer(body_R_sensor=gtsam.Rot3(np.round(gtsam.Rot3.RzRyRx(0.3, -0.4, 2.0).matrix(), 3)))
 
 
 ON_ONE_KEY: dict[str, Callable[[Any], Any]] = {

@@ -35,8 +35,8 @@ from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import check_chain, optional_keys
 from magyc_gtsam.factors.guard import Residual, custom_factor, listed_keys, measured
-from magyc_gtsam.factors.pose import MICROTESLA, body_field, check_unit, in_unit, sensor_rotation
-from magyc_gtsam.factors.units import check_field, check_readings
+from magyc_gtsam.factors.pose import MICROTESLA, body_field, in_unit, sensor_rotation
+from magyc_gtsam.factors.units import check_field, check_readings, check_unit
 from magyc_gtsam.factors.variables import Array, attitude, gyro_bias, vector
 
 Side = Literal["magnetometer", "gyroscope"]
