@@ -274,6 +274,20 @@ def test_the_profile_finds_how_far_the_heading_is_off(off):
     assert profile.within(np.radians(20), off) > 0.95
 
 
+def test_the_profile_excludes_headings_that_need_a_negative_soft_iron():
+    """A field in the wrong axes: −A at another heading fits the samples exactly."""
+    random, wrong, rows = np.random.default_rng(2), FIELD[[1, 0, 2]] * [1, 1, -1], []
+    for _ in range(15):
+        rotation = Rotation.from_euler("zyx", random.uniform(-1, 1, 3) * [3.0, 0.4, 0.4]).as_matrix()
+        field = rotation.T @ FIELD + 0.5 * random.normal(size=(30, 3))
+        rows.append(in_world(block_rows(np.tile(np.eye(3), (30, 1, 1)), np.ones(30), field), rotation))
+    prior = np.diag(np.r_[np.full(6, 1 / 0.3**2), np.full(3, 1 / 50**2)])
+    profile = heading_profile(np.vstack(rows), wrong, 0.5, 450, 15, np.r_[1, 0, 0, 1, 0, 1, 0, 0, 0.0], prior)
+    upturned = np.arctan2(wrong[1], wrong[0]) - np.arctan2(-FIELD[1], -FIELD[0])
+    assert profile.within(np.radians(15), upturned) == 0.0
+    assert profile.probability.sum() == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize(("off", "verdict"), [(0.0, HeadingVerdict.NEAR), (2.8, HeadingVerdict.APART)])
 def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(off, verdict):
     """A vague prior of the irons: two blocks in a turn allow many headings, but not the graph's own."""

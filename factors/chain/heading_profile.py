@@ -2,7 +2,9 @@
 
 Where the whole graph is rotated by ψ about the vertical, a sample reads m = A P Rᵀ Rz(−ψ) f + h. For each ψ this is
 linear in soft iron A and hard iron h, so that their optimum and its cost have a closed form. Thirteen rows that
-represent all samples thus yield the profile of the cost over ψ, with any number of minima.
+represent all samples thus yield the profile of the cost over ψ, with any number of minima. A heading whose optimum is
+a soft iron that is not positive definite is excluded, however well it fits: where the world's field is upside down,
+−A at another heading fits the samples exactly.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 
 _HEADINGS = 72  # number of headings in the profile, 5 degrees apart: a minimum is some tens of degrees wide
 _MODEL_ERROR = (
@@ -110,8 +112,12 @@ def heading_profile(
     left = np.einsum("kna,ka->kn", design, best) - wanted
     off = best - mean
     cost = np.einsum("kn,kn->k", left, left) / variance + np.einsum("ka,ab,kb->k", off, information, off)
-    scale = max(1.0, float(cost.min()) / max(3 * blocks - 9, 1))
-    weight = np.exp(-0.5 * (cost - cost.min()) / scale)
+    possible = np.linalg.eigvalsh(unvech(best[:, :6]))[:, 0] > 0
+    if not possible.any():
+        return HeadingProfile(angle, np.full(_HEADINGS, 1 / _HEADINGS))
+    least = float(cost[possible].min())
+    scale = max(1.0, least / max(3 * blocks - 9, 1))
+    weight = np.exp(-0.5 * (np.where(possible, cost, np.inf) - least) / scale)
     return HeadingProfile(angle, weight / weight.sum())
 
 
