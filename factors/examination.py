@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import gtsam
 import numpy as np
 from scipy.special import chdtrc
@@ -13,7 +15,7 @@ from magyc_gtsam.factors.health import BlockFit, HealthLimits, Monitor, block_fi
 from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array
+from magyc_gtsam.factors.variables import Array, key_name
 
 _EVERY = 4  # blocks between two checks of the variables that priors hold
 
@@ -23,20 +25,20 @@ class Examiner:
 
     Attributes:
         monitor: derives the health from the fits.
-        judged: number of blocks judged since the start or the last restart.
+        additions: number of times that blocks have entered since the start or the last restart, judged or not.
         quiet: number of coming blocks that are not judged.
     """
 
     def __init__(self, limits: HealthLimits) -> None:
         self.monitor = Monitor(limits)
         self.mounting = HeldMounting(MountingLimits())
-        self.judged = self.quiet = 0
+        self.additions = self.quiet = 0
         self._blocks = 0
         self._held: dict[int, gtsam.NonlinearFactor] = {}
 
     def restart(self) -> None:
         """Discard all fits, because the graph has been turned."""
-        self.monitor, self.judged, self.quiet = Monitor(self.monitor.limits), 0, 0
+        self.monitor, self.additions, self.quiet = Monitor(self.monitor.limits), 0, 0
         self.mounting = HeldMounting(self.mounting.limits)
 
     def note_priors(self, holding: list[gtsam.NonlinearFactor]) -> None:
@@ -52,9 +54,10 @@ class Examiner:
             view: view of the solver.
             delivered: all factors that the solver holds.
         """
+        self.additions += 1
+        self.check_soft_irons(entered, view)
         if not self.quiet:
             for each in entered:
-                self.judged += 1
                 self._examine(each, view, self.mounting)
             if self.mounting.due and not (self.monitor.open or self.monitor.over):
                 self._free_mounting(view, delivered)
@@ -65,6 +68,20 @@ class Examiner:
         for each in blocks:
             self._examine(each, view, None)
         self._free_mounting(view, blocks)
+
+    def check_soft_irons(self, blocks: Sequence[Delivered], view: View) -> None:
+        """Report the soft irons of these blocks that are not positive definite, which no magnetometer has."""
+        latest = {
+            each.details.soft_iron_key: each.details.block.time for each in blocks if each.details is not None
+        }
+        for key, time in latest.items():
+            if view.exists(key):
+                least = float(np.linalg.eigvalsh(unvech(view.values([key]).atVector(key)))[0])
+                text = (
+                    f"soft iron {key_name(key)} with the eigenvalue {least:.2g}, which must be above 0: check the axes "
+                    "of the world field (north-east-down or east-north-up), of the poses and of the mounting"
+                )
+                self.monitor.hold(f"soft iron {key}", least <= 0, text, time)
 
     def spans_over(self) -> list[tuple[float, float]]:
         """Return (first, last) in s of each disturbance that has ended; each is returned once."""

@@ -240,8 +240,8 @@ class Monitor:
             self._named = f"step of the hard iron of {np.linalg.norm(self._size) * 1e6:.1f} µT"
 
     def hold(self, name: str, moved: bool, text: str, time: float) -> None:
-        """Record whether a quantity held by a prior or by the blocks has moved from its held value, and how to report
-        it.
+        """Record whether a quantity contradicts what is held of it, by a prior, by the blocks or by physics, and how to
+        report it.
         """
         if moved:
             self._held.setdefault(name, (text, time))
@@ -252,13 +252,14 @@ class Monitor:
     @property
     def health(self) -> Health:
         """The health at present."""
-        if not self.fits:
-            return Health(HealthStatus.WAITING)
         limits, window = self.limits, self._sums[0]
-        nis, last = window.nis / max(window.freedom, 1), self.fits[-1].time
+        nis = window.nis / max(window.freedom, 1) if self.fits else float("nan")
         if self._held:
             text, since = next(iter(self._held.values()))
             return Health(HealthStatus.INCONSISTENT, text, since, nis)
+        if not self.fits:
+            return Health(HealthStatus.WAITING)
+        last = self.fits[-1].time
         if self._began is not None:
             if self._named:
                 return Health(HealthStatus.INCONSISTENT, self._named, self._since, nis)

@@ -37,7 +37,7 @@ from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
 
 _QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
 _QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
-_EARLY = 30  # number of blocks up to which quadratics that are far from settled postpone the judging
+_EARLY = 30  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
 
 
 class NativeFactors:
@@ -198,8 +198,10 @@ class NativeFactors:
             own, values, fresh, optimize, rounds=rounds, tolerance=self.tolerance, quadratic=self.quadratic
         )
         self.replaced += replaced
-        if examine and self._examiner is not None:
+        if self._examiner is not None:
             self._examiner.restart()
+            self._examiner.check_soft_irons(fresh, View(values))
+        if examine and self._examiner is not None:
             self._examiner.note_priors(new.holding)
             solved = gtsam.ISAM2()
             solved.update(own, values)
@@ -282,7 +284,7 @@ class NativeFactors:
         self.replaced += len(renewed)
         self._staleness.found(shifts)
         examiner = self._examiner
-        if self._staleness.unsettled and examiner and examiner.judged < _EARLY and not examiner.monitor.open:
+        if self._staleness.unsettled and examiner and examiner.additions < _EARLY and not examiner.monitor.open:
             examiner.quiet = _QUIET
         return renewed
 

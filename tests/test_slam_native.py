@@ -17,6 +17,7 @@ from magyc_gtsam.factors import (
     keyframe_field_factor,
     vech,
 )
+from magyc_gtsam.factors.solver import View
 from magyc_gtsam.simulation import simulate
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -95,6 +96,45 @@ def test_a_step_of_the_hard_iron_is_named_with_its_size():
     assert health.status == "inconsistent"
     assert health.by.startswith("step of the hard iron")
     assert 3.0 < float(health.by.split()[-2]) < 6.5
+
+
+def test_quadratics_that_stay_stale_do_not_postpone_the_judging_for_ever():
+    class Stale:
+        native, details = None, None
+
+        def renew(self, view, tolerance):
+            return 100.0
+
+    native, isam = NativeFactors(), View(gtsam.ISAM2())
+    examiner = native._examiner
+    postponed = []
+    for _ in range(100):
+        examiner.quiet = 0
+        native._renew([Stale()], isam)
+        postponed.append(examiner.quiet > 0)
+        examiner.judge([], isam, [])
+    assert postponed[0]
+    assert not any(postponed[50:])
+
+
+@pytest.mark.parametrize("way", ["update", "solve"])
+def test_a_soft_iron_with_a_negative_eigenvalue_is_inconsistent(way):
+    """A field that points up in place of down: −A fits it exactly."""
+    time, down = np.linspace(-1.0, 0.0, 20), np.array([20e-6, 0.0, 45e-6])
+    graph, values, native = gtsam.NonlinearFactorGraph(), gtsam.Values(), NativeFactors(alignment=None)
+    for k in range(8):
+        pose = gtsam.Rot3.Ypr(2.0 * k, 0.9 * np.sin(k), 0.9 * np.cos(3 * k))
+        field = np.tile(pose.unrotate(down), (20, 1))
+        block = KeyframeField.from_samples((time, field), (time, np.zeros((20, 3))), 0.0)
+        graph.push_back(keyframe_field_factor(X(k), A(0), H(0), block, 0.5e-6, field=-down))
+        graph.addPriorRot3(X(k), pose, ISOTROPIC(3, 0.01))
+        values.insert(X(k), pose)
+    values.insert(A(0), vech(np.eye(3)))
+    values.insert(H(0), np.zeros(3))
+    native.solve(graph, values) if way == "solve" else native.update(gtsam.ISAM2(), graph, values)
+    assert native.health.status == "inconsistent"
+    assert "soft iron a0 with the eigenvalue -1" in native.health.by
+    assert "axes of the world field" in native.health.by
 
 
 def turned_mounting(drive, angles):
