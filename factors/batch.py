@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import gtsam
@@ -22,11 +23,15 @@ class BatchSolution(NamedTuple):
     """The solution of a batch.
 
     Attributes:
+        graph: the other factors and the delivered ones, as quadratics at the solution.
+        delivered: the Python factors, with their quadratics.
         values: the estimate.
         settled: whether it is a minimum, with no kernel narrowing.
         replaced: number of quadratics that were made anew.
     """
 
+    graph: gtsam.NonlinearFactorGraph
+    delivered: list[Delivered]
     values: gtsam.Values
     settled: bool
     replaced: int
@@ -42,27 +47,50 @@ def expect_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> No
         )
 
 
-def solve_batch(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    delivered: Sequence[Delivered],
+def best_solution(
+    others: gtsam.NonlinearFactorGraph,
+    starts: Sequence[gtsam.Values],
+    fresh: Sequence[Delivered],
     optimize: Optimize | None,
     *,
     rounds: int,
     tolerance: float,
     quadratic: bool,
 ) -> BatchSolution:
-    """Minimise the error of a graph, to which the delivered factors are added.
+    """Solve a batch from each start and return the solution with the least error; arguments as in `solve_batch`."""
+    solutions = [
+        solve_batch(others, values, fresh, optimize, rounds=rounds, tolerance=tolerance, quadratic=quadratic)
+        for values in starts
+    ]
+    if len(solutions) == 1:
+        return solutions[0]
+    best = min(solutions, key=lambda solution: _error(others, fresh, solution.values))
+    narrow(robust_blocks(each.factor for each in fresh), best.values)
+    return best._replace(replaced=sum(solution.replaced for solution in solutions))
+
+
+def solve_batch(
+    others: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    fresh: Sequence[Delivered],
+    optimize: Optimize | None,
+    *,
+    rounds: int,
+    tolerance: float,
+    quadratic: bool,
+) -> BatchSolution:
+    """Minimise the error of a graph.
 
     Args:
-        graph: the other factors; the delivered ones are appended.
+        others: the other factors of the graph.
         values: where to begin.
-        delivered: the Python factors.
+        fresh: the Python factors.
         optimize: (graph, values) → values; None is Levenberg–Marquardt.
         rounds: largest number of rounds.
         tolerance: staleness in standard deviations up to which a solution of `optimize` counts as settled.
         quadratic: False leaves the Python factors as they are.
     """
+    graph, delivered = gtsam.NonlinearFactorGraph(others), [replace(each) for each in fresh]
     robust = robust_blocks(each.factor for each in delivered)
     narrow(robust, values)
     first, replaced, settled = graph.size(), 0, False
@@ -83,7 +111,7 @@ def solve_batch(
         settled = not narrowed and (_at_minimum(graph, values) if optimize is None else stale <= tolerance)
         if settled:
             break
-    return BatchSolution(values, settled, replaced)
+    return BatchSolution(graph, delivered, values, settled, replaced)
 
 
 def minimum(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
@@ -95,6 +123,14 @@ def minimum(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Va
     parameters.setRelativeErrorTol(0.0)
     parameters.setAbsoluteErrorTol(0.1 * _WORTHLESS)
     return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+
+
+def _error(others: gtsam.NonlinearFactorGraph, fresh: Sequence[Delivered], values: gtsam.Values) -> float:
+    """Return the error of a graph, with all kernels at their stated width."""
+    for _, details in robust_blocks(each.factor for each in fresh):
+        details.width = 1.0
+    blocks = sum(each.factor.error(values.extract(list(each.factor.keys()))) for each in fresh)
+    return float(others.error(values) + blocks)
 
 
 def _at_minimum(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> bool:

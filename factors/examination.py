@@ -18,6 +18,8 @@ from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array, key_name
 
 _EVERY = 4  # blocks between two checks of the variables that priors hold
+_QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
+_EARLY = 30  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
 
 
 class Examiner:
@@ -63,11 +65,28 @@ class Examiner:
                 self._free_mounting(view, delivered)
         self.quiet = max(self.quiet - len(entered), 0)
 
-    def judge_batch(self, blocks: list[Delivered], view: View) -> None:
-        """Examine all blocks of a batch at its solution, and the mounting that they hold."""
-        for each in blocks:
-            self._examine(each, view, None)
-        self._free_mounting(view, blocks)
+    def settling(self) -> None:
+        """Leave the next blocks unjudged, until the quadratics are renewed."""
+        self.quiet = _QUIET
+
+    def postpone(self) -> None:
+        """Leave the next blocks unjudged because quadratics are stale, in the first updates and without an offset."""
+        if self.additions < _EARLY and not self.monitor.open:
+            self.settling()
+
+    def judge_batch(
+        self, blocks: list[Delivered], graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, fits: bool
+    ) -> None:
+        """Examine a batch at its solution: its soft irons, and with `fits` all blocks and the mounting they hold."""
+        self.restart()
+        self.check_soft_irons(blocks, View(values))
+        if fits:
+            solved = gtsam.ISAM2()
+            solved.update(graph, values)
+            view = View(solved)
+            for each in blocks:
+                self._examine(each, view, None)
+            self._free_mounting(view, blocks)
 
     def check_soft_irons(self, blocks: Sequence[Delivered], view: View) -> None:
         """Report the soft irons of these blocks that are not positive definite, which no magnetometer has."""

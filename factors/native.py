@@ -22,7 +22,7 @@ import gtsam
 
 from magyc_gtsam.factors.admission import AdmissionControl, Optimize
 from magyc_gtsam.factors.alignment import AlignmentLimits
-from magyc_gtsam.factors.batch import expect_values, minimum, solve_batch
+from magyc_gtsam.factors.batch import best_solution, expect_values, minimum
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.errors import MagycError
@@ -35,9 +35,7 @@ from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
 from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
 
-_QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
 _QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
-_EARLY = 30  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
 
 
 class NativeFactors:
@@ -191,21 +189,21 @@ class NativeFactors:
         """
         expect_values(graph, values)
         new = sorted_factors(graph)
-        fresh, own = new.fresh, gtsam.NonlinearFactorGraph(new.others)
-        values = self._admission.start(own, values, fresh, optimize or minimum)
-        self._delivered = fresh
-        values, self.settled, replaced = solve_batch(
-            own, values, fresh, optimize, rounds=rounds, tolerance=self.tolerance, quadratic=self.quadratic
+        turned = self._admission.start(new.others, values, new.fresh, optimize or minimum)
+        starts = [values] if turned is values else [turned, values]  # the blocks may be wrong about the heading
+        own, fresh, values, self.settled, replaced = best_solution(
+            new.others,
+            starts,
+            new.fresh,
+            optimize,
+            rounds=rounds,
+            tolerance=self.tolerance,
+            quadratic=self.quadratic,
         )
-        self.replaced += replaced
+        self._delivered, self.replaced = fresh, self.replaced + replaced
         if self._examiner is not None:
-            self._examiner.restart()
-            self._examiner.check_soft_irons(fresh, View(values))
-        if examine and self._examiner is not None:
             self._examiner.note_priors(new.holding)
-            solved = gtsam.ISAM2()
-            solved.update(own, values)
-            self._examiner.judge_batch(fresh, View(solved))
+            self._examiner.judge_batch(fresh, own, values, fits=examine)
         return own, values
 
     @property
@@ -251,7 +249,7 @@ class NativeFactors:
             self._place(solver, result, placed, admission.pull)
         if examiner is not None and entering and self._admission.entered:
             if len(entering) > len(fresh):
-                examiner.quiet = _QUIET
+                examiner.settling()
             examiner.judge(entering, View(solver), self._delivered)
         return result
 
@@ -283,9 +281,8 @@ class NativeFactors:
             shifts, renewed = [each.lag(view) for each in delivered], []
         self.replaced += len(renewed)
         self._staleness.found(shifts)
-        examiner = self._examiner
-        if self._staleness.unsettled and examiner and examiner.additions < _EARLY and not examiner.monitor.open:
-            examiner.quiet = _QUIET
+        if self._staleness.unsettled and self._examiner is not None:
+            self._examiner.postpone()
         return renewed
 
     def _place(

@@ -74,3 +74,18 @@ def test_what_did_not_settle_is_told():
     native.solve(graph, start, rounds=2)
     assert not native.settled
     assert optimize(graph, start, max_iterations=5).status is Status.MAX_ITERATIONS
+
+
+def test_a_batch_ends_at_the_better_of_the_turned_and_the_given_start(monkeypatch):
+    """The coarse alignment turns this good start by half a turn, from where the optimiser does not return."""
+    graph, truth, _ = problem(0)
+    turned = gtsam.Values(truth)
+    for k in range(25):
+        turned.update(X(k), gtsam.Pose3(gtsam.Rot3.Rz(np.pi) * truth.atPose3(X(k)).rotation(), np.zeros(3)))
+    native = NativeFactors()
+    monkeypatch.setattr(native._admission, "start", lambda *_: turned)
+    solved, values = native.solve(graph, truth, lambda _, values: values)
+    assert values.equals(truth, 1e-9)
+    assert solved.error(values) == pytest.approx(
+        graph.error(values), rel=1e-6
+    )  # the kernels' width is its own too
