@@ -12,7 +12,7 @@ from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, Head
 from magyc_gtsam.factors.delivered import Delivered
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array
+from magyc_gtsam.factors.variables import Array, choose, vector
 
 _WEAK_PRIOR = np.diag(
     np.r_[np.full(6, 1 / 0.5**2), np.full(3, 1.0)]
@@ -183,19 +183,31 @@ class AdmissionControl:
         """Whether blocks or variables are waiting."""
         return bool(self.waiting) or not self._values.empty()
 
+    @property
+    def changing(self) -> list[object]:
+        """The objects that an update changes."""
+        return [self] if self._alignment is None else [self, self._alignment]
+
+    def joined(self, new: gtsam.Values) -> gtsam.Values:
+        """Return new values together with those that are kept until their factor enters."""
+        if self._values.empty():
+            return new
+        result = gtsam.Values(self._values)
+        result.insert(new)
+        return result
+
     def covered(self, new: gtsam.Values, pushed: gtsam.NonlinearFactorGraph) -> gtsam.Values:
-        """Return the new values that a factor of this update uses; keep the others until their factor enters."""
+        """Return those of the `joined` values that a factor of this update uses; keep the others."""
         if not self.defers:
             return new
-        self._values.insert(new)
-        used, result = set(pushed.keyVector()), gtsam.Values()
-        result.insert(self._values)
-        for key in list(self._values.keys()):
+        used, result = set(pushed.keyVector()), gtsam.Values(new)
+        self._values = gtsam.Values(new)
+        for key in list(new.keys()):
             (self._values if key in used else result).erase(key)
         return result
 
     def forget(self, view: View) -> None:
-        """Remove the factors on keys that have left a fixed-lag smoother."""
+        """Remove the factors on keys that have left the solver."""
         self.waiting = [each for each in self.waiting if all(map(view.exists, each.factor.keys()))]
         if self._alignment is not None:
             self._alignment.drop([key for key in self._alignment.needed if not view.exists(key)])
@@ -213,7 +225,12 @@ def _calibration_before(
     information = 1e-3 * _WEAK_PRIOR * unit * unit[:, None]
     right = information @ _NO_IRON
     point = view.values(keys)
-    start = np.r_[point.atVector(keys[0]), point.atPoint3(keys[1])]
+    start = np.concatenate(
+        [
+            choose("coarse alignment", vector(size), point, key)(point, key)[0]
+            for key, size in zip(keys, (6, 3), strict=True)
+        ]
+    )
     if not any(map(view.new.exists, keys)):
         covariance = view.covariance(keys)
         if covariance is not None:

@@ -9,10 +9,8 @@ from typing import NamedTuple
 import gtsam
 
 from magyc_gtsam.factors.admission import Optimize
-from magyc_gtsam.factors.delivered import Delivered
-from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.delivered import Delivered, Sorted
 from magyc_gtsam.factors.solver import View, predicted_decrease
-from magyc_gtsam.factors.variables import key_name
 from magyc_gtsam.factors.warm_up import narrow, robust_blocks
 
 # Decrease of the error (half squared sigmas) that is not worth another round: a tenth of a sigma.
@@ -37,20 +35,9 @@ class BatchSolution(NamedTuple):
     replaced: int
 
 
-def expect_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-    """Raise an error unless every variable of a graph has a value."""
-    absent = [key_name(key) for key in graph.keyVector() if not values.exists(key)]
-    if absent:
-        raise MagycError(
-            f"native factors: no value for {', '.join(absent[:5])}{' and others' if len(absent) > 5 else ''}; insert "
-            "one for each variable of the graph"
-        )
-
-
 def best_solution(
-    others: gtsam.NonlinearFactorGraph,
+    factors: Sorted,
     starts: Sequence[gtsam.Values],
-    fresh: Sequence[Delivered],
     optimize: Optimize | None,
     *,
     rounds: int,
@@ -58,6 +45,7 @@ def best_solution(
     quadratic: bool,
 ) -> BatchSolution:
     """Solve a batch from each start and return the solution with the least error; arguments as in `solve_batch`."""
+    others, fresh = factors.others, factors.fresh
     solutions = [
         solve_batch(others, values, fresh, optimize, rounds=rounds, tolerance=tolerance, quadratic=quadratic)
         for values in starts

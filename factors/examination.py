@@ -38,6 +38,11 @@ class Examiner:
         self._blocks = 0
         self._held: dict[int, gtsam.NonlinearFactor] = {}
 
+    @property
+    def changing(self) -> list[object]:
+        """The objects that an update changes before it judges."""
+        return [self, self.monitor]
+
     def restart(self) -> None:
         """Discard all fits, because the graph has been turned."""
         self.monitor, self.additions, self.quiet = Monitor(self.monitor.limits), 0, 0

@@ -22,12 +22,13 @@ import gtsam
 
 from magyc_gtsam.factors.admission import AdmissionControl, Optimize
 from magyc_gtsam.factors.alignment import AlignmentLimits
-from magyc_gtsam.factors.batch import best_solution, expect_values, minimum
-from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
+from magyc_gtsam.factors.batch import best_solution, minimum
+from magyc_gtsam.factors.delivered import Delivered, Sorted, pushed_factors, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
+from magyc_gtsam.factors.intake import expect_problem, expect_values, unchanged_on_error
 from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
@@ -81,6 +82,7 @@ class NativeFactors:
         self._admission = AdmissionControl(alignment)
         self._examiner = None if health is None else Examiner(health)
         self._delivered: list[Delivered] = []
+        self._size: int | None = None  # number of variables in iSAM2 after the last update
         self._kernels = WarmUp()
         self._staleness = Staleness(recent, growth)
 
@@ -131,14 +133,20 @@ class NativeFactors:
             The result of the solver's own `update`.
 
         Raises:
-            MagycError: errors of the factors; an unsupported solver; new keys of a smoother without a time stamp.
+            MagycError: errors of the factors; an unsupported solver; arguments of another type; a variable without a
+                value; new keys of a smoother without a time stamp. The blocks that wait are then those of before.
         """
+        values = gtsam.Values() if values is None else values
+        expect_problem(graph, values)
         new = sorted_factors(graph)
         if new.holding and self._examiner is not None:
             self._examiner.note_priors(new.holding)
         if new.fresh or self._pending:
-            return self._update_blocks(solver, new, values, timestamps)
-        return update_solver(solver, graph, gtsam.Values() if values is None else values, timestamps, [])
+            result = self._update_blocks(solver, new, values, timestamps)
+        else:
+            result = update_solver(solver, graph, values, timestamps, [])
+        self._size = View(solver).size
+        return result
 
     @one_thread
     def settle(self, solver: Solver, timestamps: Mapping[int, float] | None = None, *, rounds: int = 20) -> int:
@@ -156,9 +164,7 @@ class NativeFactors:
             renewed = self._renew(self._delivered, view)
             if not renewed:
                 return count
-            graph = gtsam.NonlinearFactorGraph()
-            for each in renewed:
-                graph.push_back(each.native)
+            graph = pushed_factors(gtsam.NonlinearFactorGraph(), renewed)
             remove = [each.slot for each in renewed]
             result = update_solver(solver, graph, gtsam.Values(), timestamps, remove)
             self._place(solver, result, renewed)
@@ -187,18 +193,13 @@ class NativeFactors:
         Raises:
             MagycError: a variable of the graph has no value.
         """
-        expect_values(graph, values)
+        expect_problem(graph, values)
+        expect_values(graph.keyVector(), values.exists)
         new = sorted_factors(graph)
         turned = self._admission.start(new.others, values, new.fresh, optimize or minimum)
         starts = [values] if turned is values else [turned, values]  # the blocks may be wrong about the heading
         own, fresh, values, self.settled, replaced = best_solution(
-            new.others,
-            starts,
-            new.fresh,
-            optimize,
-            rounds=rounds,
-            tolerance=self.tolerance,
-            quadratic=self.quadratic,
+            new, starts, optimize, rounds=rounds, tolerance=self.tolerance, quadratic=self.quadratic
         )
         self._delivered, self.replaced = fresh, self.replaced + replaced
         if self._examiner is not None:
@@ -214,37 +215,38 @@ class NativeFactors:
 
     @one_thread
     def _update_blocks(
-        self, solver: Solver, new: Sorted, values: gtsam.Values | None, timestamps: Mapping[int, float] | None
+        self, solver: Solver, new: Sorted, values: gtsam.Values, timestamps: Mapping[int, float] | None
     ) -> Any:
         """Update with new blocks, waiting blocks, or blocks that have to be examined."""
         fresh, examiner = new.fresh, self._examiner
-        view = View(solver, values)
+        view = View(solver, self._admission.joined(values))
+        expect_values(new.keys, view.exists)
         self._forget(view)
-        for block in robust_blocks(each.factor for each in fresh):
-            self._kernels.add(block, view.values(block.factor.keys()))
-        self._kernels.narrow()
-        remove = [each.slot for each in self._withdraw_disturbed()]
-        admission = self._admission.admit(view, fresh, self._delivered, new.others)
-        entering = admission.entering
-        if admission.turned and examiner is not None:
-            examiner.restart()
-        if admission.leaving:
-            self._delivered = [each for each in self._delivered if each not in admission.leaving]
-        renewed = self._renew(self._staleness.due(self._delivered, len(entering)), view)
-        remove += [each.slot for each in admission.leaving + renewed] + admission.remove
-        for each in entering if self.quadratic else []:
-            each.make(view)
-        self._delivered += entering
-        placed = entering + renewed
-        pushed = new.others
-        if placed or admission.pull is not None:
-            pushed = gtsam.NonlinearFactorGraph(new.others)
-            if admission.pull is not None:
-                pushed.push_back(admission.pull)
-            for each in placed:
-                pushed.push_back(each.native)
-        last = eliminated_last(new.others, entering, renewed)
-        result = update_solver(solver, pushed, self._admission.covered(view.new, pushed), timestamps, remove, last)
+        parts = [self, self._kernels, self._staleness, *self._admission.changing]
+        with unchanged_on_error(*parts, *([] if examiner is None else examiner.changing)) as keep:
+            for block in robust_blocks(each.factor for each in fresh):
+                self._kernels.add(block, view.values(block.factor.keys()))
+            self._kernels.narrow()
+            remove = [each.slot for each in self._withdraw_disturbed()]
+            admission = self._admission.admit(view, fresh, self._delivered, new.others)
+            entering = admission.entering
+            if admission.turned and examiner is not None:
+                examiner.restart()
+            if admission.leaving:
+                self._delivered = [each for each in self._delivered if each not in admission.leaving]
+            due = self._staleness.due(self._delivered, len(entering))
+            keep(due)
+            renewed = self._renew(due, view)
+            remove += [each.slot for each in admission.leaving + renewed] + admission.remove
+            for each in entering if self.quadratic else []:
+                each.make(view)
+            self._delivered += entering
+            placed = entering + renewed
+            pushed = pushed_factors(new.others, placed, admission.pull)
+            last = eliminated_last(new.others, entering, renewed)
+            result = update_solver(
+                solver, pushed, self._admission.covered(view.new, pushed), timestamps, remove, last
+            )
         if pushed is not new.others:
             self._place(solver, result, placed, admission.pull)
         if examiner is not None and entering and self._admission.entered:
@@ -254,8 +256,8 @@ class NativeFactors:
         return result
 
     def _forget(self, view: View) -> None:
-        """Remove the factors on keys that have left a fixed-lag smoother."""
-        if isinstance(view.solver, gtsam.ISAM2 | gtsam.Values):
+        """Remove the factors on keys that have left a fixed-lag smoother, or were marginalised in iSAM2."""
+        if view.size is not None and view.size == self._size:
             return
         self._delivered = [each for each in self._delivered if all(map(view.exists, each.factor.keys()))]
         self._admission.forget(view)

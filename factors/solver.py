@@ -34,6 +34,12 @@ class View:
             self._held = self.solver.getLinearizationPoint()
         return bool(self._held.exists(key))
 
+    @property
+    def size(self) -> int | None:
+        """Number of variables that iSAM2 holds; None for solvers that drop variables in an update."""
+        held = self.solver.getLinearizationPoint() if isinstance(self.solver, gtsam.ISAM2) else None
+        return None if held is None else int(held.size())
+
     def values(self, keys: Sequence[int]) -> gtsam.Values:
         """Return the values of these keys, all of which must exist."""
         if isinstance(self.solver, gtsam.Values):

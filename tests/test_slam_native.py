@@ -17,6 +17,8 @@ from magyc_gtsam.factors import (
     keyframe_field_factor,
     vech,
 )
+from magyc_gtsam.factors import native as native_module
+from magyc_gtsam.factors.alignment import CoarseAlignment, HeadingVerdict
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.simulation import simulate
 
@@ -302,3 +304,96 @@ def test_a_rotation_that_nothing_determines_is_not_said_to_be_known(threshold, l
     axis = isam.calculateEstimateRot3(X(k)).unrotate(run.field / np.linalg.norm(run.field))
     stated = np.degrees(np.sqrt(axis @ isam.marginalCovariance(X(k)) @ axis))
     assert least < stated < 29.0
+
+
+def level_problem(poses=8):
+    """Known attitudes with a block on each, on a calibration that has priors."""
+    graph, values, time = gtsam.NonlinearFactorGraph(), gtsam.Values(), np.linspace(-1.0, 0.0, 20)
+    down = np.array([20e-6, 0.0, 45e-6])
+    for k in range(poses):
+        pose = gtsam.Rot3.Ypr(2.0 * k, 0.9 * np.sin(k), 0.9 * np.cos(3 * k))
+        block = KeyframeField.from_samples(
+            (time, np.tile(pose.unrotate(down), (20, 1))), (time, np.zeros((20, 3))), 0.0
+        )
+        graph.push_back(keyframe_field_factor(X(k), A(0), H(0), block, 0.5e-6, field=down, field_unit=50e-6))
+        graph.addPriorRot3(X(k), pose, ISOTROPIC(3, 0.01))
+        values.insert(X(k), pose)
+    graph.addPriorVector(A(0), vech(np.eye(3)), ISOTROPIC(6, 0.3))
+    graph.addPriorPoint3(H(0), np.zeros(3), ISOTROPIC(3, 1.0))
+    values.insert(A(0), vech(np.eye(3)))
+    values.insert(H(0), np.zeros(3))
+    return graph, values
+
+
+def without(values, key, value=None):
+    result = gtsam.Values(values)
+    result.erase(key)
+    if value is not None:
+        result.insert(key, value)
+    return result
+
+
+@pytest.mark.parametrize("way", ["update", "solve"])
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (lambda graph, values: (graph, without(values, A(0))), "no value for a0"),
+        (lambda graph, values: (graph, without(values, A(0), np.eye(3))), "a0 holds a matrix; accepted: 6-vector"),
+        (lambda graph, values: (graph, {A(0): np.ones(6)}), "`values` is a dict"),
+        (lambda graph, values: (graph.at(0), values), "`graph` is a CustomFactor"),
+        (lambda graph, values: ([graph.at(0)], values), "`graph` is a list"),
+    ],
+)
+def test_a_problem_of_another_type_is_refused(way, arguments, said):
+    given, native = arguments(*level_problem()), NativeFactors()
+    with pytest.raises(MagycError, match=re.escape(said)):
+        native.solve(*given) if way == "solve" else native.update(gtsam.ISAM2(), *given)
+    assert len(native) == 0
+
+
+def test_new_factors_without_any_values_are_refused():
+    with pytest.raises(MagycError, match="no value for"):
+        NativeFactors().update(gtsam.ISAM2(), level_problem()[0])
+
+
+def test_blocks_on_marginalised_variables_are_forgotten():
+    isam, native = gtsam.ISAM2(), NativeFactors(alignment=None)
+    native.update(isam, *level_problem())
+    gone = gtsam.KeyList()
+    for k in range(3):
+        gone.push_back(X(k))
+    isam.marginalizeLeaves(gone)
+    graph, values = level_problem(9)
+    more, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for i in (16, 17):  # the block and the prior of the last pose
+        more.push_back(graph.at(i))
+    start.insert(X(8), values.atRot3(X(8)))
+    native.update(isam, more, start)
+    assert len(native) == 6
+    assert native.settle(isam) < 20
+    assert isam.calculateEstimateVector(A(0)) == pytest.approx(vech(np.eye(3)), abs=0.02)
+
+
+def test_an_update_that_fails_leaves_the_blocks_waiting(monkeypatch):
+    """The heading has just been found near, so that all blocks would enter."""
+    drive, native, isam = Drive(17, 172, duration=40.05), NativeFactors(), gtsam.ISAM2()
+    monkeypatch.setattr(CoarseAlignment, "judge", lambda *_: HeadingVerdict.APART)
+    native.update(isam, *drive.start())
+    for k in range(1, 8):
+        native.update(isam, *drive.step(isam, k))
+    blocks, new = list(native._admission.waiting), drive.step(isam, 8)
+    assert len(blocks) == 3
+
+    def fail(*_):
+        raise RuntimeError("indeterminate")
+
+    monkeypatch.setattr(CoarseAlignment, "judge", lambda *_: HeadingVerdict.NEAR)
+    with monkeypatch.context() as failing:
+        failing.setattr(native_module, "update_solver", fail)
+        with pytest.raises(RuntimeError, match="indeterminate"):
+            native.update(isam, *new)
+    assert native._admission.waiting == blocks
+    assert len(native) == 3
+    native.update(isam, *new)
+    assert native.waiting == 0
+    assert len(native) == 4
