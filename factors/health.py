@@ -57,7 +57,7 @@ class HealthLimits:
 class HealthStatus(str, Enum):
     """The degree to which a graph with magnetometer blocks can be trusted."""
 
-    WAITING = "waiting"  # no block has entered: the heading is not settled
+    WAITING = "waiting"  # no block has entered, or none could be judged yet
     CONSISTENT = "consistent"
     SUSPECT = "suspect"
     INCONSISTENT = "inconsistent"
@@ -103,7 +103,7 @@ class Health:
     """The verdict on the magnetometer in the graph.
 
     Attributes:
-        status: `consistent`, `suspect`, `inconsistent`, or `waiting` while no block has entered.
+        status: `consistent`, `suspect`, `inconsistent`, or `waiting` while no block has entered or been judged.
         by: the contradiction, with its size; empty where there is none.
         since: s, time of the first block that contradicts; NaN where there is none.
         nis: NIS of the last blocks per degree of freedom.
