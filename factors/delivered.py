@@ -209,22 +209,6 @@ class Sorted(NamedTuple):
         return found
 
 
-def pushed_factors(
-    others: gtsam.NonlinearFactorGraph, placed: Sequence[Delivered], pull: gtsam.NonlinearFactor | None = None
-) -> gtsam.NonlinearFactorGraph:
-    """Return the factors of an update: `others`, the prior that turns the graph, and the natives; `others` itself where
-    it is all.
-    """
-    natives = [] if pull is None else [pull]
-    natives += [each.native for each in placed]
-    if not natives:
-        return others
-    graph = gtsam.NonlinearFactorGraph(others)
-    for native in natives:
-        graph.push_back(native)
-    return graph
-
-
 def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
     """Sort the factors of a graph, leaving the graph unchanged."""
     fresh: list[Delivered] = []

@@ -23,7 +23,7 @@ import gtsam
 from magyc_gtsam.factors.admission import AdmissionControl, Optimize
 from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.factors.batch import best_solution, minimum
-from magyc_gtsam.factors.delivered import Delivered, Sorted, pushed_factors, sorted_factors
+from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
@@ -31,7 +31,7 @@ from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthSta
 from magyc_gtsam.factors.intake import expect_problem, expect_values, unchanged_on_error
 from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.one_thread import one_thread
-from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
+from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver, with_factors
 from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
 from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
@@ -164,7 +164,7 @@ class NativeFactors:
             renewed = self._renew(self._delivered, view)
             if not renewed:
                 return count
-            graph = pushed_factors(gtsam.NonlinearFactorGraph(), renewed)
+            graph = with_factors(gtsam.NonlinearFactorGraph(), [each.native for each in renewed])
             remove = [each.slot for each in renewed]
             result = update_solver(solver, graph, gtsam.Values(), timestamps, remove)
             self._place(solver, result, renewed)
@@ -242,7 +242,8 @@ class NativeFactors:
                 each.make(view)
             self._delivered += entering
             placed = entering + renewed
-            pushed = pushed_factors(new.others, placed, admission.pull)
+            pull = [] if admission.pull is None else [admission.pull]
+            pushed = with_factors(new.others, [*pull, *(each.native for each in placed)])
             last = eliminated_last(new.others, entering, renewed)
             result = update_solver(
                 solver, pushed, self._admission.covered(view.new, pushed), timestamps, remove, last

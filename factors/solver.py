@@ -14,6 +14,18 @@ Solver = gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother | gtsam.BatchFixedLagSm
 _READ = (gtsam.ISAM2, gtsam.FixedLagSmoother, gtsam.Values)
 
 
+def with_factors(
+    graph: gtsam.NonlinearFactorGraph, factors: Sequence[gtsam.NonlinearFactor]
+) -> gtsam.NonlinearFactorGraph:
+    """Return a graph with these factors appended; the graph itself where there are none."""
+    if not factors:
+        return graph
+    result = gtsam.NonlinearFactorGraph(graph)
+    for factor in factors:
+        result.push_back(factor)
+    return result
+
+
 class View:
     """A solver's estimate, overlaid with the new values of the coming update."""
 
