@@ -182,8 +182,7 @@ class Examiner:
         covariance, prior = view.covariance([key]), self._held[key]
         if covariance is None:
             return
-        linear = gtsam.JacobianFactor(gtsam.HessianFactor(prior.linearize(view.values([key]))))
-        augmented = linear.augmentedInformation()
+        augmented = prior.linearize(view.values([key])).augmentedInformation()
         before = np.linalg.inv(augmented[:-1, :-1])
         moved = before @ augmented[:-1, -1]
         weight, axes = np.linalg.eigh(before - covariance)

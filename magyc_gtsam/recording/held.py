@@ -62,10 +62,8 @@ def with_chance_repeats(recording: Recording) -> Recording:
     if np.array_equal(fresh, stamped) or not RepeatedEntries.of(recording).by_chance:
         return recording
     entry = np.cumsum(stamped)
-    since: np.ndarray = entry - np.maximum.accumulate(
-        np.where(fresh, entry, 0)
-    )  # entries since the last that was fresh
-    return replace(recording, magnetic_field_fresh=stamped & (since <= _LONGEST))
+    last: np.ndarray = np.maximum.accumulate(np.where(fresh, entry, 0))  # the last entry so far that was fresh
+    return replace(recording, magnetic_field_fresh=stamped & (entry - last <= _LONGEST))
 
 
 def _regular(repeats: Mask) -> bool:
