@@ -200,6 +200,7 @@ def test_the_end_of_a_job_is_shown_that_is_told_before_its_key(served: Served, v
     page.route("**/api/jobs", late)
     page.set_input_files("#files", {"name": "late.txt", "mimeType": "text/plain", "buffer": b"hello\n1, 2\n"})
     page.locator("#holds", has_text="cannot be read").wait_for()
+    page.unroute_all(behavior="wait")
     page.locator("#remove").click()
 
 
