@@ -14,7 +14,7 @@ from magyc_gtsam.factors.variables import Array
 
 
 @dataclass(frozen=True)
-class LargestReadings:
+class LargestValues:
     """The limits of plausible values in SI units.
 
     Attributes:
@@ -45,7 +45,7 @@ class LargestReadings:
     elapsed: float = 1e9
 
 
-LIMITS = LargestReadings()
+LIMITS = LargestValues()
 _SCALES = {"µT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "milligauss": 1e-7}
 _ROUNDING = 1e-9  # relative margin, so that the limits themselves are allowed
 
