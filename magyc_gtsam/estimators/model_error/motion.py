@@ -206,6 +206,12 @@ class WindowMotion:
         """Return the column of a scale error common to all axes."""
         return UnmodelledColumns(None, self._gyroscope_scales.sum(axis=0, keepdims=True))
 
+    def gyroscope_cross_axis(self) -> UnmodelledColumns:
+        """Return the three columns of a symmetric cross-axis sensitivity: x with y, x with z, y with z."""
+        first, second = [0, 0, 1], [1, 2, 2]
+        turned = self.rate[first, None] * self.rotation[second] + self.rate[second, None] * self.rotation[first]
+        return UnmodelledColumns(None, self._links(turned))
+
     @cached_property
     def _gyroscope_scales(self) -> Array:
         return self._links(self.rate[:, None] * self.rotation)

@@ -29,6 +29,7 @@ _WIDTH = 0.7e-6
 _OTHER_WIDTHS = (0.35e-6, 1.4e-6, 2.8e-6)
 _BAND = 0.02  # rad/s, half the width of a gyroscope's dead band
 _DATA_SHEET = 0.03  # share, largest scale error of a gyroscope under the prior
+_CROSS_AXIS = 0.01  # share, largest cross-axis sensitivity of a gyroscope under the prior
 # Share, largest scale error that the data may show. A gyroscope filtered by 0.5 s loses 10 to 30 % of oscillations,
 # which looks like a scale error: with a bound of 3 %, a trusted hard iron was 17 µT off at 4 to 5 sigmas.
 _OF_SCALE = 0.3
@@ -133,6 +134,10 @@ def _gain_at_end(motion: WindowMotion) -> Array:
 
 def _by_data_sheet(motion: WindowMotion) -> float:
     return _DATA_SHEET
+
+
+def _by_cross_axis(motion: WindowMotion) -> float:
+    return _CROSS_AXIS
 
 
 def _gyroscope_bend(motion: WindowMotion) -> UnmodelledColumns:
@@ -250,6 +255,17 @@ PHYSICAL = (
         prior=GENERAL,
         unit="share",
         expected=_by_data_sheet,
+        mixed=True,
+    ),
+    ColumnFamily(
+        "gyroscope:cross-axis",
+        "the gyroscope's axes are off right angles by {}",
+        WindowMotion.gyroscope_cross_axis,
+        _OF_SCALE,
+        prior=LIKELY,
+        unit="share",
+        expected=_by_cross_axis,
+        octaves=3,
         mixed=True,
     ),
     ColumnFamily("gyroscope:bend", "the gyroscope bends by {}", _gyroscope_bend, 0.05, prior=USUAL, unit="share"),
