@@ -20,6 +20,7 @@ from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import cells
+from magyc_gtsam.online.chance_repeats import ChanceRepeats
 from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
 from magyc_gtsam.online.intake import Intake, scalar, vector
 from magyc_gtsam.online.locked import locked
@@ -37,7 +38,7 @@ _ENGINES = {  # method → "module:class"; the class takes the method's options 
 
 _TOGETHER = 16  # number of single samples that are processed together
 _MOST_DIRECTIONS = 2000  # largest number of samples whose directions count as visited
-_FORMAT = "magyc-gtsam online state 16"
+_FORMAT = "magyc-gtsam online state 17"
 
 
 class OnlineCalibrator:
@@ -75,6 +76,7 @@ class OnlineCalibrator:
         self.options = json_types(options, finite=False)
         self._engine: Engine = engine(**options)
         self._intake = Intake()
+        self._repeats = ChanceRepeats()
         self._faults = SensorFaults()
         self._samples = RunningFingerprint()
         self._read: Calibration | None = None  # the calibration that was read since the last sample
@@ -142,7 +144,9 @@ class OnlineCalibrator:
     def _pass_on(self, magnetometer: Samples, gyroscope: Samples) -> None:
         self._read = None
         self._samples.take(magnetometer.value)
-        self._engine.update(*self._faults.take(magnetometer, gyroscope, self._intake.repeated))
+        fresh, repeated = self._repeats.take(magnetometer)
+        passed, gyroscope = self._faults.take(fresh, gyroscope, repeated)
+        self._engine.update(self._repeats.put_back(passed, self._faults.magnetometer.pending), gyroscope)
 
     @property
     def _counted_twice(self) -> str:
@@ -242,11 +246,12 @@ class OnlineCalibrator:
         write_arrays(path, header, self._state())
 
     @property
-    def _parts(self) -> dict[str, Engine | Intake | SensorFaults | RunningFingerprint]:
+    def _parts(self) -> dict[str, Engine | Intake | ChanceRepeats | SensorFaults | RunningFingerprint]:
         """The parts whose states together are that of the calibrator."""
         return {
             "engine": self._engine,
             "intake": self._intake,
+            "repeats": self._repeats,
             "faults": self._faults,
             "samples": self._samples,
         }
@@ -289,8 +294,6 @@ class OnlineCalibrator:
         result = cls(method, **options)
         expect_layout(result._state(), state)
         for part, owner in result._parts.items():
-            owner.restore(
-                {name.removeprefix(f"{part}/"): v for name, v in state.items() if name.startswith(f"{part}/")}
-            )
+            owner.restore({k.removeprefix(f"{part}/"): v for k, v in state.items() if k.startswith(f"{part}/")})
         expect_layout(state, result._state())
         return result

@@ -1,4 +1,4 @@
-"""Checks of incoming rows and their separation into one clean stream per sensor: ascending, finite, without repeats."""
+"""Checks of incoming rows and their separation into one clean stream per sensor: ascending and finite."""
 
 from __future__ import annotations
 
@@ -107,14 +107,9 @@ class _Stream:
 
 
 class Intake:
-    """Separates rows of both sensors into two clean streams.
-
-    Attributes:
-        repeated: (n,) s, stamps in the last rows taken at which the magnetometer repeated the sample before.
-    """
+    """Separates rows of both sensors into two clean streams."""
 
     def __init__(self) -> None:
-        self.repeated = np.empty(0)
         self._streams = tuple(_Stream(name) for name in _NAMES)
         self._left_out = 0
         self._first = np.nan
@@ -122,7 +117,7 @@ class Intake:
     def take(
         self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None
     ) -> tuple[Samples, Samples]:
-        """Return the new samples of magnetometer and gyroscope.
+        """Return the new entries of magnetometer and gyroscope.
 
         Raises:
             MagycError: shapes or units are wrong, or a clock was set back; the intake is then unchanged.
@@ -137,9 +132,6 @@ class Intake:
             for stream, value in zip(self._streams, given, strict=True)
         ]
         (magnetometer, *_), (gyroscope, *_) = taken
-        before = self._streams[0].last[None, 1:]
-        fresh = (np.diff(magnetometer[:, 1:], axis=0, prepend=before) != 0).any(axis=1)
-        self.repeated, magnetometer = magnetometer[~fresh, 0], magnetometer[fresh]
         self._streams = tuple(stream for _, stream, _ in taken)
         self._left_out += sum(count for *_, count in taken)
         if np.isnan(self._first):

@@ -249,7 +249,11 @@ class SmootherState:
     def recording(self, stop: int | None, first: int | None = None) -> Recording:
         """Return the samples of the windows from `first` up to `stop`; None for no limit."""
         magnetometer, gyroscope = self.buffer.between(first, stop, self.delay)
-        return Recording.from_streams(magnetometer, gyroscope, angular_rate_is=self.settings.angular_rate_is)
+        result = Recording.from_streams(magnetometer, gyroscope, angular_rate_is=self.settings.angular_rate_is)
+        stamped = result.magnetic_field_stamped  # the buffer holds samples alone, some equal to the one before
+        if np.array_equal(result.magnetic_field_fresh, stamped):
+            return result
+        return replace(result, magnetic_field_fresh=stamped)
 
     def fit_tail(self, stop: int) -> Fit:
         """Fit the tail up to window `stop`, given the head."""
