@@ -71,12 +71,17 @@ def test_how_the_entries_are_cut_does_not_matter(times: int, cut: int) -> None:
 def test_a_resumed_run_goes_on_alike(rows: int) -> None:
     """Interrupted while the first entries are held back, and later."""
     recording = coarse(1)
-    every = Samples(recording.time, recording.magnetic_field)
-    first, second = ChanceRepeats(), ChanceRepeats()
-    begin = taken(first, Samples(*(each[:rows] for each in every)), 16)
-    second.restore(pickle.loads(pickle.dumps(first.state())))
-    rest = taken(second, Samples(*(each[rows:] for each in every)), 16)
-    np.testing.assert_array_equal(np.vstack([begin, rest]), of_batch(recording))
+    online = mg.OnlineCalibrator()
+    for part in (slice(0, rows), slice(rows, 1500)):
+        online = pickle.loads(pickle.dumps(online))
+        online.update(recording.time[part], recording.magnetic_field[part], recording.angular_rate[part])
+    whole = mg.OnlineCalibrator()
+    whole.update(recording.time[:1500], recording.magnetic_field[:1500], recording.angular_rate[:1500])
+    np.testing.assert_array_equal(online.field, whole.field)
+    np.testing.assert_array_equal(online.field, of_batch(recording)[: len(online.field), 1:])
+    assert online.calibration is not None
+    assert whole.calibration is not None
+    assert online.calibration.to_dict() == whole.calibration.to_dict()
 
 
 def test_it_is_decided_again_as_the_counts_grow() -> None:

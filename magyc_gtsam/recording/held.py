@@ -25,9 +25,7 @@ LONGEST = 10  # entries in a row that repeat by chance; a sensor that is stuck h
 _LOCALLY = 3.0  # s in which the probability of a repeat hardly changes
 _ROWS = 100  # fewest rows from which a share is estimated
 _SLOWEST = 30.0  # s after which fewer rows must do in a stream
-_LATEST = (
-    30  # stretches of a stream that count; at rest nothing can be told, and the motion after it must soon prevail
-)
+_LATEST = 30  # stretches of a stream that count, so that motion soon prevails over a rest before it
 
 
 @dataclass(frozen=True)
@@ -80,10 +78,7 @@ class RepeatsSoFar:
     def __init__(self) -> None:
         self.by_chance = np.nan
         self._counts = np.empty((0, 5))
-        self._open, self._since = (
-            np.zeros(5),
-            np.nan,
-        )  # counts of the stretch that is not over, and its first stamp
+        self._open, self._since = np.zeros(5), np.nan  # the stretch that is not over: counts, and first stamp
 
     def take(self, time: Array, repeats: Mask) -> Array:
         """Count entries (n,) with the axes (n, 3) that repeat; return `by_chance` at each, (n,)."""
@@ -106,10 +101,8 @@ class RepeatsSoFar:
 
     def _last(self, time: Array, begin: int) -> int:
         """Return the index of the entry with which the open stretch ends; len(time) or more if it goes on."""
-        enough, locally, slowest = (
-            begin + _ROWS - 1 - int(self._open[0]),
-            *np.searchsorted(time, [self._since + _LOCALLY, self._since + _SLOWEST]).tolist(),
-        )
+        enough = begin + _ROWS - 1 - int(self._open[0])
+        locally, slowest = (int(np.searchsorted(time, self._since + s)) for s in (_LOCALLY, _SLOWEST))
         return max(min(max(enough, locally), slowest), begin)
 
     def state(self) -> Mapping[str, Array]:
