@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.online.chance_repeats import ChanceRepeats
 from magyc_gtsam.online.intake import Intake
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.simulation import AMPLITUDES
@@ -38,16 +39,27 @@ def feed(online: mg.OnlineCalibrator, recording: mg.Recording, start: float = 0.
     return online
 
 
-def watched(
-    recording: mg.Recording, field: np.ndarray | None = None, rate: np.ndarray | None = None
-) -> SensorFaults:
+class Watch(SensorFaults):
+    """The detectors behind what the online calibrator has before them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._intake, self._repeats = Intake(), ChanceRepeats()
+
+    def see(self, time: np.ndarray, field: np.ndarray | None, rate: np.ndarray | None) -> None:
+        magnetometer, gyroscope = self._intake.take(time, field, rate)
+        fresh, repeated = self._repeats.take(magnetometer)
+        self.take(fresh, gyroscope, repeated)
+
+
+def watched(recording: mg.Recording, field: np.ndarray | None = None, rate: np.ndarray | None = None) -> Watch:
     """A watch that has seen all rows, or those of other values."""
-    watch, intake = SensorFaults(), Intake()
+    watch = Watch()
     field = recording.magnetic_field if field is None else field
     rate = recording.angular_rate if rate is None else rate
     for i in range(0, len(recording.time), 73):
         rows = slice(i, i + 73)
-        watch.take(*intake.take(recording.time[rows], field[rows], rate[rows]), intake.repeated)
+        watch.see(recording.time[rows], field[rows], rate[rows])
     return watch
 
 
@@ -198,13 +210,13 @@ def test_real_logs(shared_data: Path) -> None:
     same 22 samples."""
     for log in sorted(shared_data.glob("*.mcap")):
         recording = mg.read(log)
-        watch, intake = SensorFaults(), Intake()
+        watch = Watch()
         (time, field), (when, rate) = recording.magnetometer, recording.gyroscope
         for edge in np.arange(recording.time[0], recording.time[-1] + 5, 5.0):
             rows = slice(*np.searchsorted(time, [edge, edge + 5]))
-            watch.take(*intake.take(time[rows], field[rows], None), intake.repeated)
+            watch.see(time[rows], field[rows], None)
             rows = slice(*np.searchsorted(when, [edge, edge + 5]))
-            watch.take(*intake.take(when[rows], None, rate[rows]), intake.repeated)
+            watch.see(when[rows], None, rate[rows])
             assert watch.clipped_field is None, log.name
         assert watch.stuck(recording.duration) == (), log.name
         if log.stem == "breakout_boards_hand_rotation":
