@@ -34,15 +34,13 @@ class HeadingUncertainty:
     def of(cls, recording: Recording, calibration: Calibration) -> HeadingUncertainty:
         """Compute the uncertainty that terminal, page and files show."""
         turn = turn_of(recording, calibration)
-        soft_iron, covariance = calibration.soft_iron, calibration.covariance
-        misalignment = MisalignmentError.of(calibration.diagnostics)
         noise = calibration.noise.get("magnetic_field")
-        level = None if covariance is None else turn.systematic(covariance, soft_iron, misalignment)
-        sample = turn.per_sample(noise, soft_iron) if noise else None
-        tilted = None
-        if covariance is not None:
-            turns = (each.systematic(covariance, soft_iron, misalignment) for each in turn.tilted())
-            tilted = min(max(float(each.max()) for each in turns), UNKNOWN_FROM)
+        level = systematic(turn, calibration)
+        sample = turn.per_sample(noise, calibration.soft_iron) if noise else None
+        turns = [
+            each for each in (systematic(tilted, calibration) for tilted in turn.tilted()) if each is not None
+        ]
+        tilted = min(max(float(each.max()) for each in turns), UNKNOWN_FROM) if turns else None
         return cls(None if level is None else _known(level), None if sample is None else _known(sample), tilted)
 
     @classmethod
@@ -54,6 +52,17 @@ class HeadingUncertainty:
     def to_dict(self) -> Mapping[str, float | None]:
         """Return the fields as JSON types, with units in the names."""
         return {"systematic_deg": self.systematic, "per_sample_deg": self.per_sample, "tilted_deg": self.tilted}
+
+
+def systematic(turn: LevelTurn, calibration: Calibration) -> Array | None:
+    """Return the standard deviation (n,) deg of heading on a turn by all that the calibration leaves uncertain.
+
+    None without a covariance.
+    """
+    if calibration.covariance is None:
+        return None
+    misalignment = MisalignmentError.of(calibration.diagnostics)
+    return turn.systematic(calibration.covariance, calibration.soft_iron, misalignment)
 
 
 def turn_of(recording: Recording, calibration: Calibration) -> LevelTurn:

@@ -27,21 +27,28 @@ _HEADING.flags.writeable = False
 
 
 class MisalignmentError(NamedTuple):
-    """The uncertainty of the rotation between magnetometer and gyroscope, which adds to that of heading.
+    """The uncertainty of the sensors' axes, which adds to that of heading.
 
     Attributes:
-        covariance: (3, 3) rad² of the rotation.
+        covariance: (3, 3) rad² of the rotation between magnetometer and gyroscope.
         cross: (9, 3) covariance of vech(soft_iron) and hard_iron (T) with the rotation.
+        gyroscope: (12, 12) covariance to be added to that of vech(soft_iron), hard_iron and the rotation: the error by
+            axes of the gyroscope that are not at right angles.
     """
 
     covariance: Array
     cross: Array
+    gyroscope: Array
 
     @classmethod
     def of(cls, diagnostics: Mapping[str, Any]) -> MisalignmentError | None:
         """Return the uncertainty in a calibration's diagnostics; None if the method did not estimate it."""
-        stored = diagnostics.get("skew")
-        return None if stored is None else cls(np.array(stored["covariance"]), np.array(stored["cross"]))
+        skew, gyroscope = diagnostics.get("skew"), diagnostics.get("gyroscope_axes")
+        if skew is None and gyroscope is None:
+            return None
+        skew = {"covariance": np.zeros((3, 3)), "cross": np.zeros((9, 3))} if skew is None else skew
+        gyroscope = np.zeros((12, 12)) if gyroscope is None else gyroscope
+        return cls(np.array(skew["covariance"]), np.array(skew["cross"]), np.array(gyroscope))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +90,7 @@ class LevelTurn:
         Args:
             covariance: (9, 9) or (12, 12) of vech(soft_iron), hard_iron and gyro_bias.
             soft_iron: (3, 3) A.
-            misalignment: uncertainty of the rotation between magnetometer and gyroscope.
+            misalignment: uncertainty of the sensors' axes.
         """
         return self.spread(covariance, self.slopes(soft_iron), misalignment)
 
@@ -109,6 +116,8 @@ class LevelTurn:
             variance += np.einsum(
                 "na,na->n", turned @ misalignment.covariance - 2 * slopes @ misalignment.cross, turned
             )
+            every = np.hstack([slopes, -turned])
+            variance += np.einsum("na,na->n", every @ misalignment.gyroscope, every)
         return cast(Array, np.degrees(np.sqrt(np.maximum(variance, 0.0))))
 
     def per_sample(self, noise: float, soft_iron: Array) -> Array:

@@ -147,7 +147,7 @@ def assess(
         field_strength: T.
         recording: the calibrated data, for the vertical and the dip.
         hard_iron: (3,) T, subtracted from the field before its dip is measured; None for 0.
-        misalignment: uncertainty of the rotation between magnetometer and gyroscope, which adds to that of heading.
+        misalignment: uncertainty of the sensors' axes, which adds to that of heading.
 
     Returns:
         All directions whose standard deviation exceeds half its limit, worst first; not observable if one exceeds its

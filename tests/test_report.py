@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import with_minus
@@ -30,6 +32,7 @@ from magyc_gtsam.report.analysis import (
 )
 from magyc_gtsam.report.charts import packed
 from magyc_gtsam.report.page import render, write_report
+from magyc_gtsam.report.plots import level_turn_error
 from magyc_gtsam.report.words import advice, parameter_rows, stretch, uncertain
 from magyc_gtsam.simulation import simulate
 
@@ -167,6 +170,17 @@ def test_systematic_heading_error_is_the_spread_of_calibrations() -> None:
         errors.append(turn.raw_error(np.linalg.inv(SOFT_IRON) @ soft_iron, np.linalg.inv(SOFT_IRON) @ draw[6:9]))
     expected = turn.systematic(calibration.covariance, SOFT_IRON)
     np.testing.assert_allclose(np.std(errors, axis=0), expected, rtol=0.15)
+
+
+def test_the_band_that_is_drawn_is_the_heading_sigma_that_is_stated() -> None:
+    """On a motion that hardly shows the misalignment of the chips the iron alone had twice as much."""
+    recording = simulate("low", seed=3).recording
+    calibration = calibrate(recording)
+    figure = Figure()
+    level_turn_error(figure, turn_of(recording, calibration), calibration)
+    (band,) = figure.axes[1].collections
+    assert calibration.observability is not None
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(calibration.observability.heading_sigma)
 
 
 def test_heading_error_of_single_samples_is_that_of_noise() -> None:

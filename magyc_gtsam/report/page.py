@@ -12,7 +12,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.residuals import WindowResiduals
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.heading_uncertainty import turn_of
+from magyc_gtsam.heading_uncertainty import systematic, turn_of
 from magyc_gtsam.level_turn import LevelTurn, inclination
 from magyc_gtsam.recording import Array, Mask, Recording
 from magyc_gtsam.report import words
@@ -192,9 +192,10 @@ def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -
             frame,
         )
     ]
-    if calibration.covariance is None:
+    sigma = systematic(turn, calibration)
+    if sigma is None:
         return figures
-    sigma = np.minimum(turn.systematic(calibration.covariance, calibration.soft_iron), 180.0)
+    sigma = np.minimum(sigma, 180.0)
     figures.append(
         chart(
             "Level turn: error after calibration",

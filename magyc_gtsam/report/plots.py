@@ -10,6 +10,7 @@ from matplotlib.figure import FigureBase
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.gap.outcome.agreement import GapMap, OpenLoop
+from magyc_gtsam.heading_uncertainty import systematic
 from magyc_gtsam.level_turn import LevelTurn
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.analysis import FieldHistory, ellipsoid_outline, spread, summary
@@ -52,14 +53,15 @@ def heading_error(figure: FigureBase, time: Array, error: Array) -> None:
 
 def level_turn_error(figure: FigureBase, turn: LevelTurn, calibration: Calibration) -> None:
     """Plot the heading error of the raw field over a level turn, and the uncertainty after calibration."""
-    rows = 1 if calibration.covariance is None else 2
+    sigma = systematic(turn, calibration)
+    rows = 1 if sigma is None else 2
     grid = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[3, 2][:rows])[:, 0]
     error = turn.raw_error(calibration.soft_iron, calibration.hard_iron)
     jumps = np.append(np.abs(np.diff(error)) > 180, False)  # avoids a line across the wrap at ±180°
     grid[0].plot(turn.heading, np.where(jumps, np.nan, error), color=RAW)
     grid[0].set_ylabel("Raw (°)")
-    if calibration.covariance is not None:
-        sigma = np.minimum(turn.systematic(calibration.covariance, calibration.soft_iron), 180.0)
+    if sigma is not None:
+        sigma = np.minimum(sigma, 180.0)
         grid[1].fill_between(turn.heading, -sigma, sigma, color=CALIBRATED, alpha=0.4, linewidth=0)
         grid[1].set_ylabel("Calibrated\n±1σ (°)")
     for axes in grid:

@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
-from magyc_gtsam.heading_uncertainty import turn_of
+from magyc_gtsam.heading_uncertainty import systematic, turn_of
 from magyc_gtsam.level_turn import calibrated
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import simulate
@@ -58,9 +58,8 @@ def worked(unit: DurationCase) -> Row:
     for minutes in MINUTES:
         calibration = calibrate(whole.between(0, 60 * minutes))
         off = turn.error(calibrated(raw, calibration.soft_iron, calibration.hard_iron))
-        stated = np.full(1, np.nan)
-        if calibration.covariance is not None:
-            stated = turn.systematic(calibration.covariance, calibration.soft_iron)
+        sigma = systematic(turn, calibration)
+        stated = np.full(1, np.nan) if sigma is None else sigma
         row["minutes"].append(minutes)
         row["error"].append(float(np.mean(off**2)))
         row["hard_iron"].append(float(np.mean((calibration.hard_iron - truth.hard_iron) ** 2)))

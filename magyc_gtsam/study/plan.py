@@ -151,7 +151,12 @@ def _planned(
     cross = covariance[:9, SKEW].copy()
     cross[:6] /= unit
     found = assess(
-        reported, soft_iron, unit, recording, parameters[6:9], MisalignmentError(covariance[SKEW, SKEW], cross)
+        reported,
+        soft_iron,
+        unit,
+        recording,
+        parameters[6:9],
+        MisalignmentError(covariance[SKEW, SKEW], cross, np.zeros((12, 12))),
     )
     worst = float(np.sqrt(_largest(reported[6:9, 6:9])))
     assert found.heading_sigma is not None

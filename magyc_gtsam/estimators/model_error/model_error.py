@@ -19,7 +19,7 @@ from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, 
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
-from magyc_gtsam.estimators.model_error.physical import COARSE, PHYSICAL
+from magyc_gtsam.estimators.model_error.physical import COARSE, CROSS_AXIS, PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.fit import Fit
@@ -75,6 +75,15 @@ class ModelError:
         )
         covariance = _padded(self.covariance, size) + own.covariance
         return replace(self, covariance=covariance, components=components, possible=possible)
+
+    @property
+    def of_gyroscope_axes(self) -> Array:
+        """(P, P) to be added to the covariance for the heading, which refers to the gyroscope's axes.
+
+        They are never exactly at right angles, so that their error counts there as certain, and not by its share.
+        """
+        every = (c for c in self.components + self.possible if c.name == CROSS_AXIS)
+        return sum(((1 / c.share - 1) * c.covariance for c in every), np.zeros_like(self.covariance))
 
     @property
     def field_variation(self) -> tuple[float, float | None] | None:

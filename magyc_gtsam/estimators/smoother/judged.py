@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from magyc_gtsam.estimators.gauge import IronScale
 from magyc_gtsam.estimators.model_error import ModelError
 from magyc_gtsam.estimators.model_error.samples import flickers, in_bursts, too_slow
@@ -76,14 +78,16 @@ def judge(
         unexplained: the model error of the same fit.
         recording: the motion; samples: those of both sensors, which may be fewer.
         strength: T, known field strength, or None; strength_sigma: its standard deviation.
-        named: uncertainty of a misalignment that is a term of the model.
+        named: uncertainty of a misalignment that is a term of the model, without the gyroscope's axes.
     """
     parameters, sensors, skew, _ = known
     scale = IronScale.of(unvech(parameters[:6]), strength, strength_sigma)
     soft_iron, unit = scale.soft_iron, scale.strength
     covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]
     reported, of_sensors = scale.covariance(covariance[:12, :12]), scale.covariance(sensors[:12, :12])
-    misalignment = _misalignment_error(skew, unit, unexplained.covariance) if named is None else named
+    misalignment = _misalignment_error(skew, scale, unexplained)
+    if named is not None:
+        misalignment = named if misalignment is None else named._replace(gyroscope=misalignment.gyroscope)
     assessor = Assessor(soft_iron, unit, recording, parameters[6:9], misalignment)
     observability = assessor.of(of_sensors)
     whole = observability
@@ -103,8 +107,10 @@ def judge(
     )
     told: dict[str, Any] = {"model_error": diagnostics(unexplained)}
     if misalignment is not None:
-        told["skew"] = {} if skew is None else {"evidence": skew.evidence}
-        told["skew"] |= {"covariance": misalignment.covariance.tolist(), "cross": misalignment.cross.tolist()}
+        told["gyroscope_axes"] = misalignment.gyroscope.tolist()
+        if skew is not None or named is not None:
+            told["skew"] = {} if skew is None else {"evidence": skew.evidence}
+            told["skew"] |= {"covariance": misalignment.covariance.tolist(), "cross": misalignment.cross.tolist()}
     return Judgement(
         soft_iron,
         unit,
@@ -119,15 +125,26 @@ def judge(
     )
 
 
-def _misalignment_error(skew: Skew | None, strength: float, unexplained: Array) -> MisalignmentError | None:
-    """Return the misalignment's contribution to the heading error.
+def _misalignment_error(skew: Skew | None, scale: IronScale, unexplained: ModelError) -> MisalignmentError | None:
+    """Return the contribution of the sensors' axes to the heading error, None if it is 0.
 
-    `unexplained` (P, P) is the covariance of the model error, which adds to that of ε if ε is part of θ.
+    The model error adds to that of ε if ε is part of θ.
     """
-    if skew is None:
+    axes = unexplained.of_gyroscope_axes
+    if skew is None and not axes.any():
         return None
-    covariance, cross = skew.covariance, skew.gain[:9] @ skew.covariance
-    if len(unexplained) > PARAMETERS:
-        covariance, cross = covariance + unexplained[SKEW, SKEW], cross + unexplained[:9, SKEW]
-    cross[:6] /= strength
-    return MisalignmentError(covariance, cross)
+    covariance, cross = np.zeros((3, 3)), np.zeros((9, 3))
+    if skew is not None:
+        covariance, cross = skew.covariance, skew.gain[:9] @ skew.covariance
+    of_axes = np.zeros((12, 12))
+    of_axes[:9, :9] = scale.covariance(axes[:12, :12])[:9, :9]
+    if len(axes) > PARAMETERS:
+        covariance, cross = (
+            covariance + unexplained.covariance[SKEW, SKEW],
+            cross + unexplained.covariance[:9, SKEW],
+        )
+        of_axes[9:, 9:], of_axes[:9, 9:] = axes[SKEW, SKEW], axes[:9, SKEW]
+    for each in (cross, of_axes[:, 9:]):
+        each[:6] /= scale.strength
+    of_axes[9:, :9] = of_axes[:9, 9:].T
+    return MisalignmentError(covariance, cross, of_axes)

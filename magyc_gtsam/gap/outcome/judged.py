@@ -90,9 +90,8 @@ def _misalignment_error(result: Refit, error: ModelError, strength: float) -> Mi
     cross[model.free] += result.covariance[:count, rows]
     cross = -cross[:9]  # the term turns the gyroscope, ε the magnetometer
     cross[:6] /= strength
-    return MisalignmentError(
-        result.covariance[np.ix_(rows, rows)] + error.of_terms[PARAMETERS + own][:, own], cross
-    )
+    rotation = result.covariance[np.ix_(rows, rows)] + error.of_terms[PARAMETERS + own][:, own]
+    return MisalignmentError(rotation, cross, np.zeros((12, 12)))
 
 
 def _widened_terms(
