@@ -200,21 +200,23 @@ class WindowMotion:
 
     def gyroscope_scales(self) -> UnmodelledColumns:
         """Return the three columns of the scale errors of the gyroscope's axes."""
-        return UnmodelledColumns(None, self._gyroscope_scales)
+        return UnmodelledColumns(None, self._gyroscope_matrix[:3])
 
     def gyroscope_scale(self) -> UnmodelledColumns:
         """Return the column of a scale error common to all axes."""
-        return UnmodelledColumns(None, self._gyroscope_scales.sum(axis=0, keepdims=True))
+        return UnmodelledColumns(None, self._gyroscope_matrix[:3].sum(axis=0, keepdims=True))
 
     def gyroscope_cross_axis(self) -> UnmodelledColumns:
         """Return the three columns of a symmetric cross-axis sensitivity: x with y, x with z, y with z."""
-        first, second = [0, 0, 1], [1, 2, 2]
-        turned = self.rate[first, None] * self.rotation[second] + self.rate[second, None] * self.rotation[first]
-        return UnmodelledColumns(None, self._links(turned))
+        return UnmodelledColumns(None, self._gyroscope_matrix[3:])
 
     @cached_property
-    def _gyroscope_scales(self) -> Array:
-        return self._links(self.rate[:, None] * self.rotation)
+    def _gyroscope_matrix(self) -> Array:
+        """Columns (6, 3, links) of a symmetric error of the gyroscope's matrix: xx, yy, zz, xy, xz, yz."""
+        first, second = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+        turned = self.rate[first, None] * self.rotation[second]
+        turned[3:] += self.rate[second[3:], None] * self.rotation[first[3:]]
+        return self._links(turned)
 
     def _links(self, turned: Array) -> Array:
         """Return columns of the links (k, 3, n − 1) rad by rate errors (k, 3, n) rad/s in the integrated world."""
