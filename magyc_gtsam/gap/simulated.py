@@ -17,6 +17,8 @@ from scipy.stats import norm
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech, vech
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects.soft_iron import SYMMETRIC
+from magyc_gtsam.gap.effects.term import AXES
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates, what_matters
 from magyc_gtsam.gap.evidence.weighing import weigh
@@ -25,7 +27,6 @@ from magyc_gtsam.gap.result import Assumption, Effect, Gap
 from magyc_gtsam.gap.rules import RULES
 
 _Row = tuple[str, float, float, float, str]
-_AXES = ("x", "y", "z")
 
 
 class SimulatedGap(NamedTuple):
@@ -159,9 +160,9 @@ def _parameters(measured: Refit, simulated: Refit) -> Iterator[_Row]:
 
     groups: tuple[tuple[str, tuple[str, ...], Callable[[Array], Array], str], ...] = (
         ("field strength", ("",), lambda t: np.array([np.cbrt(abs(np.linalg.det(unvech(t[:6]))))]) * 1e6, "µT"),
-        ("soft iron", ("xx", "xy", "xz", "yy", "yz", "zz"), shape, "%"),
-        ("hard iron", _AXES, lambda t: t[6:9] * 1e6, "µT"),
-        ("gyroscope bias", _AXES, lambda t: t[9:12] * 1e3, "mrad/s"),
+        ("soft iron", SYMMETRIC, shape, "%"),
+        ("hard iron", AXES, lambda t: t[6:9] * 1e6, "µT"),
+        ("gyroscope bias", AXES, lambda t: t[9:12] * 1e3, "mrad/s"),
     )
     for name, parts, of, unit in groups:
         (first, second), sigma = read(of)

@@ -8,7 +8,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import RATE_MATRIX
 from magyc_gtsam.gap.effects.iron import drifts, lagged, lagged_nearby, step_nearby, step_times
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, at_time, behind, deviation_of_modes, vector
 from magyc_gtsam.gap.model.twin import Twin
 
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
@@ -23,7 +23,7 @@ def _levels(twin: Twin) -> list[dict[str, float]]:
 def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     if not setting:
         return []
-    near = (setting["level"] * share for share in (0.5, 0.7, 1.0, 1.4, 2.0))
+    near = (setting["level"] * share for share in NEARBY)
     return [{"level": level} for level in near if level >= _LEVELS[0]]  # a lower level is a constant scale error
 
 
@@ -38,21 +38,19 @@ def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
-    by = vector(value, sigma)
-    behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
-    return f"the gyroscope's bias depends on temperature, by {by} mrad/s per unit of the channel{behind}"
+    by, late = vector(value, sigma), behind(setting, "the thermometer")
+    return f"the gyroscope's bias depends on temperature, by {by} mrad/s per unit of the channel{late}"
 
 
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
-    when = measured(setting["time"], setting.get("time_sigma", 0.05))
-    return f"the gyroscope's bias jumped by {vector(value, sigma)} mrad/s at {when} s"
+    return f"the gyroscope's bias jumped by {vector(value, sigma)} mrad/s {at_time(setting)}"
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
     if setting["order"] == 0:
         return f"the gyroscope's bias drifted by {vector(value, sigma)} mrad/s over the recording"
-    spread = np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2)
-    return f"the gyroscope's bias drifted, by {vector(spread)} mrad/s (standard deviation) over the recording"
+    by = deviation_of_modes(value)
+    return f"the gyroscope's bias drifted, by {by} mrad/s (standard deviation) over the recording"
 
 
 def _say_g(value: Array, sigma: Array, setting: Setting) -> str:
@@ -90,7 +88,6 @@ QUADRATIC = EffectTerm(
     matters=0.02,
     prior=0.2,  # s/rad; a bad part has 0.15
     rivals=("gyro-scale",),
-    parameters=AXES,
     say=_say_quadratic,
     motion="turn slowly and fast about each axis: the same turn at several rates",
     settings=_levels,
@@ -107,9 +104,7 @@ TEMPERATURE = EffectTerm(
     unit="mrad/s per unit",
     scale=1e3,
     matters=1e-3,
-    prior=1.0,
     rivals=("temperature-hard-iron", "gyro-bias-step", "gyro-bias-drift"),
-    parameters=AXES,
     say=_say_temperature,
     motion="let the temperature rise and fall during the recording",
     settings=lagged,
@@ -127,9 +122,7 @@ BIAS_STEP = EffectTerm(
     unit="mrad/s",
     scale=1e3,
     matters=1e-3,
-    prior=1.0,
     rivals=("temperature-gyro", "gyro-bias-drift"),
-    parameters=AXES,
     say=_say_step,
     motion="rest for some seconds before and after the moment in question",
     settings=step_times,
@@ -146,9 +139,7 @@ BIAS_DRIFT = EffectTerm(
     unit="mrad/s",
     scale=1e3,
     matters=1e-3,
-    prior=1.0,
     rivals=("temperature-gyro", "gyro-bias-step"),
-    parameters=AXES,
     say=_say_drift,
     motion="rest for some seconds now and then, and log the temperature",
     settings=drifts,
@@ -164,7 +155,6 @@ G_SENSITIVITY = EffectTerm(
     unit="mrad/s/g",
     scale=1e3,
     matters=5e-3,
-    prior=1.0,
     rivals=("timing", "gyro-scale"),
     parameters=tuple(f"{a}{b}" for b in AXES for a in AXES),
     say=_say_g,

@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.effects.term import NEARBY, EffectTerm, at_time, behind, deviation_of_modes, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -50,8 +50,7 @@ def lagging_circuits(twin: Twin) -> list[dict[str, float]]:
 
 def _circuits_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     """Return lags between and beyond those of `lagging_circuits`."""
-    shares = (0.5, 0.7, 1.0, 1.4, 2.0) if "lag" in setting else ()
-    return [dict(setting) | {"lag": setting["lag"] * share} for share in shares]
+    return [dict(setting) | {"lag": setting["lag"] * share} for share in (NEARBY if "lag" in setting else ())]
 
 
 def lagged(twin: Twin) -> list[dict[str, float]]:
@@ -62,7 +61,7 @@ def lagged(twin: Twin) -> list[dict[str, float]]:
 
 def lagged_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     """Return lags between and beyond those of `lagged`, up to the length of the recording."""
-    lags = (max(setting["lag"], 10.0) * share for share in (0.0, 0.5, 0.7, 1.0, 1.4, 2.0))
+    lags = (max(setting["lag"], 10.0) * share for share in (0.0, *NEARBY))
     return [dict(setting) | {"lag": lag} for lag in lags if lag < twin.time[-1] - twin.time[0]]
 
 
@@ -116,33 +115,32 @@ def drifts(twin: Twin) -> list[dict[str, float]]:
 
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
-    strength = np.linalg.norm(value)
-    behind = f", {setting['lag']:.1f} s behind it" if setting.get("lag") else ""
-    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value, sigma)} µT{behind}"
+    strength, late = np.linalg.norm(value), behind(setting, "it", 1)
+    return (
+        f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value, sigma)} µT{late}"
+    )
 
 
 def _say_squared(value: Array, sigma: Array, setting: Setting) -> str:
-    behind = f", {setting['lag']:.1f} s behind it" if setting.get("lag") else ""
-    return f"the square of a current adds {vector(value, sigma)} µT per unit of the channel squared{behind}"
+    late = behind(setting, "it", 1)
+    return f"the square of a current adds {vector(value, sigma)} µT per unit of the channel squared{late}"
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
-    behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
-    return f"the hard iron depends on temperature, by {vector(value, sigma)} µT per unit of it{behind}"
+    late = behind(setting, "the thermometer")
+    return f"the hard iron depends on temperature, by {vector(value, sigma)} µT per unit of it{late}"
 
 
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
-    when = measured(setting["time"], setting.get("time_sigma", 0.05))
-    return (
-        f"the hard iron jumped by {vector(value, sigma)} µT at {when} s: a magnetic object was moved or switched"
-    )
+    by, when = vector(value, sigma), at_time(setting)
+    return f"the hard iron jumped by {by} µT {when}: a magnetic object was moved or switched"
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
     if setting["order"] == 0:
         return f"the hard iron drifted by {vector(value[:3], sigma[:3])} µT over the recording"
-    spread = np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2)
-    return f"the hard iron drifted irregularly, by {vector(spread)} µT (standard deviation) over the recording"
+    by = deviation_of_modes(value)
+    return f"the hard iron drifted irregularly, by {by} µT (standard deviation) over the recording"
 
 
 MOTOR_CURRENT = EffectTerm(
@@ -158,7 +156,6 @@ MOTOR_CURRENT = EffectTerm(
     matters=0.3e-6,
     prior=1e-3,
     rivals=("hard-iron-step", "hard-iron-drift", "current-squared", "load-soft-iron"),
-    parameters=AXES,
     say=_say_current,
     motion="switch the load on and off several times at rest and under way, not in step with the turns",
     settings=lagging_circuits,
@@ -178,7 +175,6 @@ SQUARED = EffectTerm(
     matters=0.3e-6,
     prior=1e-3,
     rivals=("motor-current", "load-soft-iron", "hard-iron-step"),
-    parameters=AXES,
     say=_say_squared,
     motion="run the load at several powers, not in step with the turns",
     settings=lagging_circuits,
@@ -198,7 +194,6 @@ TEMPERATURE = EffectTerm(
     matters=0.3e-6,
     prior=1e-3,
     rivals=("hard-iron-drift", "hard-iron-step", "temperature-gain"),
-    parameters=AXES,
     say=_say_temperature,
     motion="let the temperature rise and fall during the recording, so that it does not merely follow time",
     settings=lagged,
@@ -218,7 +213,6 @@ STEP = EffectTerm(
     matters=0.3e-6,
     prior=1e-3,
     rivals=("hard-iron-drift", "temperature-hard-iron", "motor-current", "local-anomaly", "soft-iron-step"),
-    parameters=AXES,
     say=_say_step,
     motion="turn a full circle before and after the moment in question, at the same place",
     settings=_jumps,
@@ -239,7 +233,6 @@ DRIFT = EffectTerm(
     matters=0.3e-6,
     prior=1e-3,
     rivals=("temperature-hard-iron", "hard-iron-step"),
-    parameters=AXES,
     say=_say_drift,
     motion="record longer, and log the temperature",
     settings=drifts,

@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.alignment import directions, directions_nearby
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.effects.term import NEARBY, EffectTerm, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -19,7 +19,6 @@ _NEAR = np.linspace(0.9, 1.1, 41)  # levels relative to the likeliest one, tried
 _FINE_KNEES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
 _SOFT = 0.1  # knee relative to the level; a smaller one is what noise makes of a sharp level
 _COERCIVE = (0.05, 0.15, 0.5)  # largest coercive fields that are tried, relative to the span of the field
-_FINE_COERCIVE = (0.5, 0.7, 1.0, 1.4, 2.0)  # relative to the likeliest one
 
 
 def _reading(twin: Twin) -> Array:
@@ -58,7 +57,7 @@ def _span(twin: Twin) -> float:
 
 def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     largest = _COERCIVE[-1] * _span(twin)  # no iron with a larger one changes its direction
-    widths = sorted({min(setting["coercive"] * share, largest) for share in _FINE_COERCIVE})
+    widths = sorted({min(setting["coercive"] * share, largest) for share in NEARBY})
     where = [{}] if "x" not in setting else directions_nearby(setting)
     return [place | {"coercive": width} for width in widths for place in where]
 
@@ -79,8 +78,7 @@ def _say_cubic(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_hysteresis(value: Array, sigma: Array, setting: Setting) -> str:
-    by = vector(value, sigma)
-    return f"iron near the magnetometer shows hysteresis of {by} µT on x, y, z"
+    return f"iron near the magnetometer shows hysteresis of {vector(value, sigma)} µT on x, y, z"
 
 
 SATURATION = EffectTerm(
@@ -116,7 +114,6 @@ CUBIC = EffectTerm(
     matters=0.5e-6,
     prior=30e-6,
     rivals=("saturation", "misalignment", "gyro-scale"),
-    parameters=AXES,
     say=_say_cubic,
     motion="turn over about two axes, so that each axis sees the whole field",
 )
@@ -133,7 +130,6 @@ HYSTERESIS = EffectTerm(
     matters=0.3e-6,
     prior=1e-3,
     rivals=("timing", "eddy-plane"),
-    parameters=AXES,
     say=_say_hysteresis,
     motion="turn through the same headings slowly and fast, both ways",
     settings=_loops,

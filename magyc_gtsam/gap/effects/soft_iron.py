@@ -7,14 +7,14 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.iron import circuits, lagged, lagged_nearby, step_nearby, step_times
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, vector
 
-_SYMMETRIC = ("xx", "xy", "xz", "yy", "yz", "zz")
+SYMMETRIC = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
-    behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
-    return f"the magnetometer's gain depends on temperature, by {vector(value, sigma)} % per unit of it{behind}"
+    late = behind(setting, "the thermometer")
+    return f"the magnetometer's gain depends on temperature, by {vector(value, sigma)} % per unit of it{late}"
 
 
 def _say_load(value: Array, sigma: Array, setting: Setting) -> str:
@@ -22,8 +22,8 @@ def _say_load(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
-    when = measured(setting["time"], setting.get("time_sigma", 0.05))
-    return f"the soft iron changed by up to {np.abs(value).max():.2g} % at {when} s: steel was added, moved or removed"
+    by, when = np.abs(value).max(), at_time(setting)
+    return f"the soft iron changed by up to {by:.2g} % {when}: steel was added, moved or removed"
 
 
 TEMPERATURE_GAIN = EffectTerm(
@@ -37,9 +37,7 @@ TEMPERATURE_GAIN = EffectTerm(
     unit="% per unit",
     scale=1e2,
     matters=6e-3,
-    prior=1.0,
     rivals=("temperature-hard-iron",),
-    parameters=AXES,
     say=_say_gain,
     motion="let the temperature rise and fall during the recording, while turning over",
     settings=lagged,
@@ -56,9 +54,8 @@ LOAD = EffectTerm(
     unit="% per unit",
     scale=1e2,
     matters=6e-3,
-    prior=1.0,
     rivals=("motor-current", "current-squared"),
-    parameters=_SYMMETRIC,
+    parameters=SYMMETRIC,
     say=_say_load,
     motion="run the load at several powers on every heading",
     settings=circuits,
@@ -74,9 +71,8 @@ STEP = EffectTerm(
     unit="%",
     scale=1e2,
     matters=6e-3,
-    prior=1.0,
     rivals=("hard-iron-step",),
-    parameters=_SYMMETRIC,
+    parameters=SYMMETRIC,
     say=_say_step,
     motion="turn a full circle before and after the moment in question, at the same place",
     settings=step_times,

@@ -1,6 +1,6 @@
 """`EffectTerm`: one interface for every effect that adds to a sensor's reading.
 
-The evidence uses its `regressors`, the joint refit its `residual` and `prior`. The formulas are those of
+The evidence uses its `regressors`, the joint refit its `prior`. The formulas are those of
 `factors.effects`, so that the effect that was tested is the one that is applied.
 """
 
@@ -14,13 +14,14 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting, beyond_reference, referenced
 from magyc_gtsam.factors.effects.forms import FORMS, Form
-from magyc_gtsam.factors.effects.signals import CHANNELS, Signals, rows_by_kind
+from magyc_gtsam.factors.effects.signals import CHANNELS, rows_by_kind
 from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.rules import RULES
 
 Settings = Callable[[Twin], list[dict[str, float]]]
 Say = Callable[[Array, Array, Setting], str]
 AXES = ("x", "y", "z")
+NEARBY = (0.5, 0.7, 1.0, 1.4, 2.0)  # times a found level, lag or width, to be tried as well
 _SHOWS = 3.0  # sigmas, from which one of several rows of a channel is mentioned
 
 
@@ -40,16 +41,16 @@ class EffectTerm:
         unit, scale: shown value = SI value · scale, in `unit`.
         matters: the smallest value that matters, SI. For a value per unit of a channel, the effect of a change of the
             channel by its standard deviation in the recording.
-        prior: prior standard deviation of the value, in the unit of `matters`.
         rivals: names with which it is known to be confused.
-        contains: names of which it is the general case, so that one model has one of them only.
-        parameters: name of each value; repeated for several rows of a channel.
         say: function that returns a sentence for a navigator from value, sigma (shown units) and setting.
         motion: the motion that would distinguish it from its rivals, in words for the helmsman.
+        parameters: name of each value; repeated for several rows of a channel.
+        prior: prior standard deviation of the value, in the unit of `matters`; 1 of most is larger than any value.
         settings: function that returns the grid of settings to search.
         refined: function that returns settings near a found one, finer than the grid; empty if there is no grid.
         block: function that returns the longest block of the held-out test, s, for a setting.
         most: number of such effects that one model may contain.
+        contains: names of which it is the general case, so that one model has one of them only.
         possible: function that returns whether the effect can have fitted values (SI) at a setting; if not, the cause
             is another effect.
         power: of the channel that a value multiplies.
@@ -62,11 +63,11 @@ class EffectTerm:
     unit: str
     scale: float
     matters: float
-    prior: float
     rivals: tuple[str, ...]
-    parameters: tuple[str, ...]
     say: Say
     motion: str
+    parameters: tuple[str, ...] = AXES
+    prior: float = 1.0
     settings: Settings = plain
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: RULES.block
@@ -91,6 +92,11 @@ class EffectTerm:
         """Return the channels that the recording needs beside the two sensors."""
         return tuple(n for n in self.form.needs if n in CHANNELS or n == "acceleration")
 
+    @property
+    def kind(self) -> str | None:
+        """Return the kind of channel that its values multiply; None without one."""
+        return next((channel for channel in self.channels if channel in CHANNELS), None)
+
     def missing(self, twin: Twin) -> tuple[str, ...]:
         """Return the channels that this recording lacks, or that do not change in it."""
         at = twin.windows
@@ -100,10 +106,9 @@ class EffectTerm:
 
     def deviations(self, twin: Twin, setting: Setting) -> Array:
         """Return the deviation (k,) over the recording of what each value multiplies; (1,) one without a channel."""
-        kind = next((channel for channel in self.channels if channel in CHANNELS), None)
-        if kind is None:
+        if self.kind is None:
             return np.ones(1)
-        spread = (beyond_reference(twin.windows.need(kind), setting) ** self.power).std(axis=1)
+        spread = (beyond_reference(twin.windows.need(self.kind), setting) ** self.power).std(axis=1)
         return np.repeat(np.where(spread > 0, spread, 1.0), len(self.parameters))
 
     def regressors(self, twin: Twin, setting: Setting) -> Columns:
@@ -113,17 +118,12 @@ class EffectTerm:
             return twin.on_gyroscope(self.form.columns(twin.gyroscope, setting))
         return twin.columns(self.name, setting)
 
-    def residual(self, signals: Signals, value: Array, setting: Setting) -> Array:
-        """Return its contribution (3, n) to the reading, T or rad/s."""
-        return self.form.evaluate(signals, value, setting)
-
     def rows(self, twin: Twin, setting: Setting) -> tuple[str, ...]:
         """Return the names of the rows of its channel; empty without a channel."""
-        kind = next((channel for channel in self.channels if channel in CHANNELS), None)
-        if kind is None:
+        if self.kind is None:
             return ()
-        called = rows_by_kind(twin.problem.recording.channels)[kind]
-        return tuple(called[row] for row in referenced(twin.windows.need(kind), setting))
+        called = rows_by_kind(twin.problem.recording.channels)[self.kind]
+        return tuple(called[row] for row in referenced(twin.windows.need(self.kind), setting))
 
     def sentence(self, value: Array, sigma: Array, setting: Setting, rows: Sequence[str] = ()) -> str:
         """Return the sentence for a navigator; with several rows of a channel, one part for each significant row.
@@ -163,6 +163,21 @@ def measured(value: float, sigma: float) -> str:
     if sigma >= 2 * 10.0 ** (-digits + 1) and digits > 0:
         digits -= 1
     return f"{value:.{digits}f} ± {sigma:.{digits}f}"
+
+
+def at_time(setting: Setting) -> str:
+    """Return "at 12.3 ± 0.4 s", the time of a step."""
+    return f"at {measured(setting['time'], setting.get('time_sigma', 0.05))} s"
+
+
+def behind(setting: Setting, what: str, digits: int = 0) -> str:
+    """Return ", 20 s behind the thermometer", the lag of an effect behind `what` drives it; "" without a lag."""
+    return f", {setting['lag']:.{digits}f} s behind {what}" if setting.get("lag") else ""
+
+
+def deviation_of_modes(value: Array) -> str:
+    """Return the standard deviation over the recording of a vector that drifts in modes with values (3k,)."""
+    return vector(np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2))
 
 
 def vector(value: Sequence[float] | Array, sigma: Sequence[float] | Array | None = None) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.iron import references
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured
+from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, measured
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -47,7 +47,7 @@ def _bumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     return [
         {"time": time + shift * width, "width": width * stretch, "passing": passing}
         for passing in (0.0, 1.0)
-        for stretch in (0.5, 0.7, 1.0, 1.4, 2.0)
+        for stretch in NEARBY
         for shift in (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)
     ]
 
@@ -74,7 +74,6 @@ GRADIENT = EffectTerm(
     unit="% per unit",
     scale=1e2,
     matters=6e-3,
-    prior=1.0,
     rivals=("eddy-plane",),
     parameters=("gradient",),
     say=_say_gradient,
