@@ -11,7 +11,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
-from magyc_gtsam.gap.preparation.noiseless import noiseless
+from magyc_gtsam.gap.preparation.discrete import noiseless
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.report import gap_verdict

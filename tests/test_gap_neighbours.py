@@ -13,7 +13,7 @@ from magyc_gtsam.gap.evidence.neighbours import neighbours, product_of
 from magyc_gtsam.gap.isolability import isolability
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.samples.first import NOISE_LIMIT
+from magyc_gtsam.gap.samples.fine import NOISE_LIMIT
 from magyc_gtsam.gap.samples.noise_effects import coloured_noise, tone
 from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
 from magyc_gtsam.gap.samples.wrong_samples import spikes

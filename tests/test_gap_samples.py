@@ -20,9 +20,9 @@ from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import determined, refit, with_term
 from magyc_gtsam.gap.naming.found import Found, term_places
-from magyc_gtsam.gap.outcome.sentences import sentences
+from magyc_gtsam.gap.outcome.described import sentences
 from magyc_gtsam.gap.preparation.discrete import settled
-from magyc_gtsam.gap.samples.first import NOISE_LIMIT
+from magyc_gtsam.gap.samples.fine import NOISE_LIMIT
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, sample_hold, tone
 
 

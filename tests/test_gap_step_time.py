@@ -13,8 +13,8 @@ from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import refit, with_term
 from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.naming.named import Named
-from magyc_gtsam.gap.naming.one_jump import with_one_jump
-from magyc_gtsam.gap.samples.first import First
+from magyc_gtsam.gap.naming.steps import with_one_jump
+from magyc_gtsam.gap.samples.fine import First
 
 JUMP = np.array([-4e-6, 2e-6, -15e-6])  # T
 
@@ -62,7 +62,7 @@ def test_two_steps_beside_one_window_are_one_jump_inside_it(jumps: int) -> None:
     fitted = refit(problem_of(recording), model, noise)
     first, tree = First(recording, fitted), Tree(base, ())
     found = (Found("hard-iron-step", 900.0),) * 2
-    result = with_one_jump(Named(recording, fitted.twin.problem, first, tree, fitted, found, (), {}), noise)
+    result = with_one_jump(Named(recording, first, tree, fitted, found, (), {}), noise)
     assert len(result.found) == jumps
     if jumps == 1:
         (step,) = result.fitted.model.terms

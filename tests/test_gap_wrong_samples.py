@@ -14,7 +14,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.samples.first import NOISE_LIMIT
+from magyc_gtsam.gap.samples.fine import NOISE_LIMIT
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 
 _SAMPLES = 4000

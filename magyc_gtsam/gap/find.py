@@ -20,17 +20,15 @@ from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.refit import Refit, widened
 from magyc_gtsam.gap.naming.named import Named, named
-from magyc_gtsam.gap.naming.one_jump import with_one_jump
-from magyc_gtsam.gap.naming.step_samples import without_samples_of_steps
+from magyc_gtsam.gap.naming.steps import with_one_jump, without_samples_of_steps
 from magyc_gtsam.gap.outcome.corrected import as_calibration
+from magyc_gtsam.gap.outcome.doubt import with_clipped
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
-from magyc_gtsam.gap.preparation.clipped import with_clipped
-from magyc_gtsam.gap.preparation.discrete import settled
-from magyc_gtsam.gap.preparation.noiseless import noiseless
+from magyc_gtsam.gap.preparation.discrete import noiseless, settled
 from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.first import First
+from magyc_gtsam.gap.samples.fine import First
 from magyc_gtsam.gap.samples.tones import silenced
 from magyc_gtsam.gap.simulated import SimulatedGap, compare
 from magyc_gtsam.observability import Observability, assess
@@ -138,36 +136,41 @@ def _gap_and_named(
     """Return the gap of one recording, and what is named; None if there is not enough information to name anything."""
     started = clock.perf_counter()
     needs_gyroscope(recording)
-    usable = without_faults(recording, ("magnetic_field", "angular_rate"))
+    usable = without_faults(recording)
     recording, unlogged = without_channel_holes(usable.recording)
-    left_out = [*usable.left_out, *unlogged]
     recording, discrete = settled(recording, names)
     tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
     recording = silenced(recording, tones)
     short_term = short_term_noise(recording)
     base = base_model(recording, calibration, short_term)
     report(0.2)
+    reasons = _untestable(recording, base, short_term)
+    result: Named | None = None
+    if reasons is not None:
+        gap = nothing_tested(base, *reasons, calibration)
+    else:
+        first = First(recording, base)
+        said = answer(recording, base, short_term, names, discrete, first.fine)
+        report(0.8)
+        result = with_one_jump(named(said, first, short_term), short_term)
+        result = without_samples_of_steps(recording, result)
+        gap = gap_of(result, short_term, calibration, names, discrete)
+    gap = with_clipped(gap, usable.clipped)
+    run = {"seconds": clock.perf_counter() - started, "left_out": [*usable.left_out, *unlogged]}
+    return replace(gap, diagnostics={**gap.diagnostics, **run}), result
+
+
+def _untestable(recording: Recording, base: Refit, short_term: SensorNoise) -> tuple[str, Doubt] | None:
+    """Return why nothing can be tested, in full and in few words with a remedy; None if there is enough information."""
     motion = _determined(recording, base, short_term)
-    reasons: tuple[str, Doubt] | None = None
     if not motion.observable:
         weakest = motion.weak[0]
         doubt = Doubt(f"too little motion to determine the {weakest.what}", weakest.remedy)
-        reasons = f"too little motion: {weakest.sentence}", doubt
-    elif noiseless(recording):
+        return f"too little motion: {weakest.sentence}", doubt
+    if noiseless(recording):
         silence = f"the magnetometer has no measurable noise (under {RULES.noiseless * 1e9:.2g} nT)"
-        reasons = f"{silence}: {_SILENT}", Doubt(silence, _ADD_NOISE)
-    if reasons is not None:
-        gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
-        gap = with_clipped(gap, usable.clipped)
-        return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
-    first = First(recording, base)
-    said = answer(recording, base, short_term, names, discrete, first.fine)
-    report(0.8)
-    result = with_one_jump(named(said, first, short_term), short_term)
-    result = without_samples_of_steps(recording, result)
-    gap = gap_of(result, short_term, calibration, names, discrete, clock.perf_counter() - started)
-    gap = with_clipped(gap, usable.clipped)
-    return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
+        return f"{silence}: {_SILENT}", Doubt(silence, _ADD_NOISE)
+    return None
 
 
 def _check_types(recording: Recording, calibration: object, simulated: Recording | None) -> None:

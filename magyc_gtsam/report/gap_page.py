@@ -6,7 +6,7 @@ import json
 
 from magyc_gtsam.gap.effects import PHYSICS
 from magyc_gtsam.gap.evidence.detectable import ENOUGH
-from magyc_gtsam.gap.outcome.sentences import sentences
+from magyc_gtsam.gap.outcome.described import sentences
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import gap_charts, gap_words, words

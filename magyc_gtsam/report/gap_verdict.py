@@ -10,8 +10,8 @@ import numpy as np
 from magyc_gtsam.foreign_text import MOST_WORDS, clauses
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.outcome.agreement import Metrics
+from magyc_gtsam.gap.outcome.described import sentences
 from magyc_gtsam.gap.outcome.doubt import with_doubt
-from magyc_gtsam.gap.outcome.sentences import sentences
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Moved
 from magyc_gtsam.gap.validation import SWEPT
 from magyc_gtsam.report.verdict import Verdict, said

@@ -25,12 +25,12 @@ from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.model.problem import Active, Problem
+from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.naming.found import Found, as_found
 from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT, drift_apart
-from magyc_gtsam.gap.samples.first import First
+from magyc_gtsam.gap.samples.fine import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
 
@@ -40,7 +40,7 @@ class Named:
     """The effects that are named.
 
     Attributes:
-        recording, problem: the data, without wrong samples and tones.
+        recording: the data, without wrong samples and tones.
         first: the model without effects, on the recording with all its samples.
         tree: of the fitted sets.
         fitted: the model with the effects.
@@ -51,7 +51,6 @@ class Named:
     """
 
     recording: Recording
-    problem: Problem
     first: First
     tree: Tree
     fitted: Refit
@@ -82,7 +81,7 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
     if drift_apart(fitted) or (left and "timing" not in rivals and drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
-    return Named(said.recording, fitted.twin.problem, first, said.tree, fitted, tuple(found), left, stated)
+    return Named(said.recording, first, said.tree, fitted, tuple(found), left, stated)
 
 
 def _probable(posterior: Mapping[Set, float], stated: Mapping[str, float]) -> dict[str, tuple[str, ...]]:

@@ -18,12 +18,30 @@ from magyc_gtsam.gap.result import Effect
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
 FIELD_VARIES = "field of the place that varies"
-IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _OPEN = "named, not corrected: this motion does not determine all of its values"
 _UNPAID = (
     "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )
+
+
+def sentences(effects: Sequence[Effect]) -> list[str]:
+    """Return a sentence for each effect, of several tones one in the place of the first."""
+    tones = [effect for effect in effects if effect.name == "tone"]
+    if len(tones) < 2:
+        return [effect.sentence for effect in effects]
+    frequencies = _enumerated([f"{effect.setting['frequency']:.2f}" for effect in tones])
+    sizes = _enumerated([f"{float(np.linalg.norm(effect.value)):.2g}" for effect in tones])
+    together = f"tones of {frequencies} Hz, {sizes} {tones[0].unit}, are on the magnetometer"
+    return [
+        together if effect is tones[0] else effect.sentence
+        for effect in effects
+        if effect.name != "tone" or effect is tones[0]
+    ]
+
+
+def _enumerated(values: Sequence[str]) -> str:
+    return f"{', '.join(values[:-1])} and {values[-1]}"
 
 
 def _noise_sentence(noise: NoiseScore) -> str:
@@ -68,14 +86,41 @@ def describe(
         unpaid: places of those among them whose correction gains nothing.
     """
     indices, times = term_places(found, refitted.model), step_time_sigmas(refitted)
-
-    def why(place: int) -> str:
-        if place not in uncorrected:
-            return ""
-        return _UNPAID if place in unpaid else _OPEN
-
-    effects = (_described(one, refitted, indices.get(place), times, why(place)) for place, one in enumerate(found))
-    return tuple(replace(effect, probability=probabilities.get(effect.name, 0.0)) for effect in effects)
+    effects = []
+    for place, one in enumerate(found):
+        if one.noise is None:
+            index, term = indices[place], TERMS[one.name]
+            value, covariance = refitted.value_of(index)
+            sigma, setting = np.sqrt(np.diag(covariance)), dict(refitted.model.terms[index].setting)
+            if index in times:
+                setting["time_sigma"] = times[index]
+            rows = term.rows(refitted.twin, setting)
+            unit, scale, parameters = term.unit, term.scale, term.names(len(value), rows)
+            sentence = term.sentence(value * scale, sigma * scale, setting, rows)
+        else:
+            value, sigma, setting = one.noise.value, one.noise.sigma, dict(one.noise.setting)
+            unit, scale = one.noise.shown
+            parameters = _TONE if one.name == "tone" else ("",) * len(value)
+            sentence = _noise_sentence(one.noise)
+        if place in uncorrected:
+            sentence = f"{sentence} ({_UNPAID if place in unpaid else _OPEN})"
+        effects.append(
+            Effect(
+                one.name,
+                LABELS.get(one.name, FIELD_VARIES),
+                value * scale,
+                sigma * scale,
+                parameters,
+                unit,
+                setting,
+                one.rivals,
+                one.statistic,
+                place not in uncorrected,
+                sentence,
+                probabilities.get(one.name, 0.0),
+            )
+        )
+    return tuple(effects)
 
 
 def with_model_error(effects: Sequence[Effect], fitted: Refit, calibration: Calibration) -> tuple[Effect, ...]:
@@ -94,43 +139,3 @@ def with_model_error(effects: Sequence[Effect], fitted: Refit, calibration: Cali
         sentence = term.sentence(one.value, sigma, one.setting, rows)
         result[place] = replace(one, sigma=sigma, sentence=sentence)
     return tuple(result)
-
-
-def _described(found: Found, refitted: Refit, index: int | None, times: Mapping[int, float], why: str) -> Effect:
-    """Return an effect.
-
-    Args:
-        found: the effect.
-        refitted: the model that contains it.
-        index: place among the model's terms; None for an effect that is not a term.
-        times: {index of a step: standard deviation of its time, s}.
-        why: the reason why it is not corrected; empty if it is.
-    """
-    if found.noise is not None:
-        sentence = _noise_sentence(found.noise)
-        value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting
-        unit, scale = ("µT", 1e6) if found.name in IN_TESLA else ("", 1.0)
-        parameters = _TONE if found.name == "tone" else ("",) * len(value)
-    else:
-        assert index is not None
-        value, covariance = refitted.value_of(index)
-        sigma, setting = np.sqrt(np.diag(covariance)), dict(refitted.model.terms[index].setting)
-        if index in times:
-            setting["time_sigma"] = times[index]
-        term = TERMS[found.name]
-        rows = term.rows(refitted.twin, setting)
-        unit, scale, parameters = term.unit, term.scale, term.names(len(value), rows)
-        sentence = term.sentence(value * scale, sigma * scale, setting, rows)
-    return Effect(
-        found.name,
-        LABELS.get(found.name, FIELD_VARIES),
-        value * scale,
-        sigma * scale,
-        parameters,
-        unit,
-        dict(setting),
-        found.rivals,
-        found.statistic,
-        not why,
-        f"{sentence} ({why})" if why else sentence,
-    )

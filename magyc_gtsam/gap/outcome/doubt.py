@@ -8,6 +8,8 @@ from dataclasses import replace
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Manoeuvre
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.sensor_faults.full_scale import ClippedField
 
 _LOG_MORE = "log current, temperature and depth"
 _WITHOUT = "choose an interval without the jumps (start=, end=)"
@@ -22,6 +24,28 @@ def doubted(calibration: Calibration, doubt: Doubt) -> Calibration:
     """Return the calibration with a message why it must not be used; `export` and `apply` refuse it."""
     message = "; ".join(part for part in (doubt.sentence, calibration.message) if part)
     return replace(calibration, converged=False, message=message)
+
+
+def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
+    """Return the gap, open unless saturation is in the model and the clipped share is small enough for its form."""
+    if clipped is None:
+        return gap
+    named = any(term.name == "saturation" for term in gap.calibration.terms)  # found in this search, or given
+    if named and clipped.share <= RULES.cut_off and gap.verdict in ("none", "closed"):
+        return gap
+    why = "which the search did not name" if not named else "and something else is missing"
+    if clipped.share > RULES.cut_off:
+        why = f"at most {RULES.cut_off:.0%} can be modelled"
+    action = "choose a larger full scale, or move what is magnetic away from the sensor"
+    axes = f"axis {clipped.axes}" if len(clipped.axes) == 1 else f"axes {' and '.join(clipped.axes)}"
+    doubt = Doubt(f"{axes} of the magnetometer cut off, {why}", action)
+    doubted_gap = replace(
+        gap,
+        verdict=gap.verdict if gap.verdict == "not enough information" else "open",
+        sentence=f"{clipped.where}, {why}: {action}; {gap.sentence}",
+        base=doubted(gap.base, doubt),
+    )
+    return with_doubt(doubted_gap, doubt)
 
 
 def remedy(doubt: Doubt, purpose: str) -> Manoeuvre:

@@ -15,7 +15,6 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed
 from magyc_gtsam.gap.naming.found import Found
 from magyc_gtsam.gap.naming.named import Named
-from magyc_gtsam.gap.outcome.described import IN_TESLA
 from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
@@ -99,7 +98,7 @@ def _hardly_found(term: EffectTerm, matters: float, power: float, count: int) ->
 
 
 def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping[str, float]) -> Hypothesis:
-    scale = 1e6 if noise.name in IN_TESLA else 1.0
+    unit, scale = noise.shown
     status: Status
     if noise.name in named:
         status, words = "named", "named"
@@ -119,7 +118,7 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping
         parameters=len(noise.value),
         expected=noise.value * scale,
         sigma=noise.sigma * scale,
-        unit="µT" if scale > 1 else "",
+        unit=unit,
         setting=dict(noise.setting),
         power=np.nan,
         matters=np.nan,

@@ -31,7 +31,7 @@ from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
 
-def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibration | None, seconds: float) -> Gap:
+def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibration | None) -> Gap:
     """Return a gap with the verdict "not enough information".
 
     Args:
@@ -39,7 +39,6 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
         reason: why nothing was tested, in full.
         doubt: the same in few words, with a remedy.
         calibration: the given calibration, if any.
-        seconds: duration.
     """
     strength = None if calibration is None else calibration.field_strength
     fitted = as_calibration(replace(base, converged=False), strength)
@@ -59,7 +58,7 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
         base=fitted,
         next_manoeuvre=remedy(doubt, "to learn anything"),
         doubt=doubt,
-        diagnostics={"windows": base.twin.n, "seconds": seconds, "leftover": []},
+        diagnostics={"windows": base.twin.n, "leftover": []},
     )
 
 
@@ -69,7 +68,6 @@ def gap_of(
     calibration: Calibration | None,
     names: tuple[str, ...],
     discrete: tuple[NoiseScore, ...],
-    seconds: float,
 ) -> Gap:
     """Return the gap.
 
@@ -79,20 +77,16 @@ def gap_of(
         calibration: the given calibration, if any.
         names: candidates.
         discrete: scores of effects that were corrected beforehand (held samples, exchanged axes).
-        seconds: duration.
     """
     strength = None if calibration is None else calibration.field_strength
     first, plain = result.first, widened(result.fitted)
-    base, held = widened(first.refit), tempered(result.problem, result.fitted, short_term)
+    base, held = widened(first.refit), tempered(plain.twin.problem, result.fitted, short_term)
     last = widened(held)
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
     known, added = _other_terms(calibration, found)
-    open_places = {
-        place: index for place, index in term_places(found, plain.model).items() if not determined(plain, index)
-    }
-    unpaid = _not_worthwhile(
-        result, held, {p: i for p, i in term_places(found, plain.model).items() if p not in open_places}
-    )
+    places = term_places(found, plain.model)
+    open_places = {place: index for place, index in places.items() if not determined(plain, index)}
+    unpaid = _not_worthwhile(result, held, {p: i for p, i in places.items() if p not in open_places})
     open_places |= unpaid
     corrected, fine = _corrected(result, last, held, open_places.values(), short_term)
     turned = tuple(term for term in added if term.name == "axis-order")  # already corrected in the fitted data
@@ -138,11 +132,7 @@ def gap_of(
         calibration=used,
         base=plainly,
         next_manoeuvre=wanted,
-        diagnostics={
-            "windows": first.refit.twin.n,
-            "seconds": seconds,
-            "leftover": list(result.leftover),
-        },
+        diagnostics={"windows": first.refit.twin.n, "leftover": list(result.leftover)},
         probabilities=result.probabilities,
     )
     if word in ("none", "closed"):
@@ -159,12 +149,13 @@ def _not_worthwhile(result: Named, held: Refit, places: Mapping[int, int]) -> di
     """Return the terms (place: index) whose correction is not worthwhile, if the field evidently varies."""
     if not places:
         return {}
-    variation = field_variation(result.fitted.twin)
+    twin = result.fitted.twin
+    variation = field_variation(twin)
     if not variation.evident:
         return {}
     held, weak = widened(held), {}
     for place, index in places.items():
-        without = widened(refit(result.problem, without_term(held.model, index), None))
+        without = widened(refit(twin.problem, without_term(held.model, index), None))
         if not pays(held, without, index, variation):
             weak[place] = index
     return weak
@@ -192,14 +183,14 @@ def _corrected(
     result: Named, last: Refit, held: Refit, open_places: Collection[int], short_term: SensorNoise
 ) -> tuple[Refit, Fine]:
     """Return the model without the terms that are not corrected, and its innovations sample by sample."""
-    corrected, first = last, result.first
-    if 0 < len(open_places) == len(held.model.terms) and result.problem is first.refit.twin.problem:
+    corrected, first, problem = last, result.first, result.fitted.twin.problem
+    if 0 < len(open_places) == len(held.model.terms) and problem is first.refit.twin.problem:
         return widened(first.refit), first.fine  # no correction: the first model is unchanged
     if open_places:
         model = held.model
         for index in sorted(open_places, reverse=True):
             model = without_term(model, index)
-        corrected = widened(refit(result.problem, model, short_term))
+        corrected = widened(refit(problem, model, short_term))
     return corrected, fine_innovations(result.recording, corrected.model)
 
 

@@ -1,9 +1,10 @@
-"""Checks before the estimation: order and signs of the axes, and which rows are samples."""
+"""Checks before the estimation: order and signs of the axes, which rows are samples, and whether there is noise."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.preparation.held_clock import on_own_clock
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.noise_effects import COUNTED, NoiseScore, sample_hold
+from magyc_gtsam.gap.samples.noise_effects import COUNTED, NoiseScore, lattice, sample_hold
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.held import with_chance_repeats
+
+_ORDER = 12  # of the differences, which suppress a motion with eight or more samples in its shortest period
 
 
 def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tuple[NoiseScore, ...]]:
@@ -99,3 +102,17 @@ def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.
     change = np.linalg.norm(np.diff(mean, axis=0), axis=1)
     result: np.ndarray = change > RULES.rest_jump * spread + 2 * spread * turn
     return result
+
+
+def noiseless(recording: Recording) -> bool:
+    """Return whether the magnetometer has no measurable noise, as exact output of a simulator.
+
+    Every test of the workflow measures a misfit relative to the noise.
+    Coarse readings that seldom change are not noise-free: their steps are an effect that can be named.
+    """
+    value = recording.magnetometer.value
+    if len(value) <= _ORDER or max(lattice(axis) for axis in value.T) > RULES.noiseless:
+        return False
+    differences = np.diff(value, n=_ORDER, axis=0)
+    level = np.sqrt((differences**2).mean(axis=1) / comb(2 * _ORDER, _ORDER))
+    return bool(np.percentile(level, RULES.noiseless_share) < RULES.noiseless)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.model.problem import Model, Problem
+from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation, tone
@@ -16,6 +20,7 @@ from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
 _MOST = 60000  # samples
+NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))  # nats
 
 
 class Fine(NamedTuple):
@@ -74,16 +79,30 @@ def _edge(field: Array, rate: float) -> float:
     return float(RULES.motion_harmonics * (np.searchsorted(held, RULES.motion_held) + 1) * rate / field.shape[1])
 
 
-def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseScore]:
-    """Return the tests of all effects on the noise."""
-    return [
-        *single_scores(fine, limit),
-        coloured_noise(fine.calm, fine.rate, fine.level, limit),
-        quantisation(recording, fine.white),
-    ]
-
-
 def single_scores(fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
     """Return the tests for wrong samples and for a tone."""
     spiky = spikes(fine.innovation, fine.level, limit)
     return spiky, tone(fine.calm, fine.time, fine.level, limit, fine.edge)
+
+
+@dataclass(frozen=True, eq=False)
+class First:
+    """The fitted model without effects of a recording, and the tests of single samples beside it."""
+
+    recording: Recording
+    refit: Refit
+
+    @cached_property
+    def fine(self) -> Fine:
+        """Return the innovations sample by sample."""
+        return fine_innovations(self.recording, self.refit.model)
+
+    @cached_property
+    def noise(self) -> list[NoiseScore]:
+        """Return the tests of the effects on single samples."""
+        fine = self.fine
+        return [
+            *single_scores(fine, NOISE_LIMIT),
+            coloured_noise(fine.calm, fine.rate, fine.level, NOISE_LIMIT),
+            quantisation(self.recording, fine.white),
+        ]

@@ -52,6 +52,11 @@ class NoiseScore:
     setting: Mapping[str, float]
     rows: np.ndarray | None = None
 
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Return the unit in which its values are shown, and the factor from SI; rows and axes have none."""
+        return ("", 1.0) if self.name in ("sample-hold", "axis-order") else ("µT", 1e6)
+
 
 def tone(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
     """Test for a line in the spectrum of innovations.

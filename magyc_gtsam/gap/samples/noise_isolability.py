@@ -14,7 +14,7 @@ from scipy.stats import chi2, ncx2, norm
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.first import NOISE_LIMIT
+from magyc_gtsam.gap.samples.fine import NOISE_LIMIT
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.held import HELD
 

@@ -1,9 +1,12 @@
-"""Replace two steps of the hard iron at the two edges of one window by one jump inside that window.
+"""Steps of the hard iron, whose times are resolved to windows: two that are one jump, and samples that are not wrong.
 
 A window in which the hard iron jumps by d reads a share s of the jump. Two steps at its edges, with the values s d and
 (1 - s) d, describe that exactly, and so two may be found. The values of two separate jumps are parallel only by
 chance. The comparison is between one jump at a free time and two jumps; the second costs the prior odds of another name
 and the search over its time. The samples of the window are a mixture of both fields and are left out of the fit.
+
+Samples between a step and the edge of the window that represents it have an error of the whole step. To leave them out
+does no harm, but they are no evidence of wrong samples.
 """
 
 from __future__ import annotations
@@ -17,12 +20,17 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import problem_of
+from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit, refit, without_term
 from magyc_gtsam.gap.naming.found import less, term_places
 from magyc_gtsam.gap.naming.named import Named
+from magyc_gtsam.gap.samples.fine import fine_innovations
+from magyc_gtsam.gap.samples.wrong_samples import spikes
+from magyc_gtsam.recording import Recording
 
 _STEP = "hard-iron-step"
 _SHARES = np.linspace(0.0, 1.0, 51)
+_WINDOW = 1.5  # s, on each side of a step: more than the longest window
 
 
 def with_one_jump(result: Named, short_term: SensorNoise) -> Named:
@@ -44,14 +52,13 @@ def with_one_jump(result: Named, short_term: SensorNoise) -> Named:
         mixed = samples.magnetometer_time[ends[inside[0]] : ends[inside[0] + 1]]
         fresh = result.recording.magnetic_field_fresh & ~np.isin(result.recording.time, mixed)
         recording = replace(result.recording, magnetic_field_fresh=fresh)
-        problem = problem_of(recording)
         one = replace(terms[first], setting={"time": float(mixed[-1] - share * np.ptp(mixed))})
         model = replace(fitted.model, terms=(*terms[:first], one, *terms[first + 1 :]))
-        ahead = refit(problem, without_term(model, second), short_term)
+        ahead = refit(problem_of(recording), without_term(model, second), short_term)
         if not ahead.converged:
             continue
         found = less(result.found, {places[second]})
-        again = replace(result, recording=recording, problem=problem, fitted=ahead, found=found)
+        again = replace(result, recording=recording, fitted=ahead, found=found)
         return with_one_jump(again, short_term)
     return result
 
@@ -73,3 +80,24 @@ def _cost(share: float, value: Array, precision: Array) -> float:
     jump = np.linalg.solve(columns.T @ precision @ columns, columns.T @ precision @ value)
     miss = value - columns @ jump
     return float(0.5 * miss @ precision @ miss)
+
+
+def without_samples_of_steps(recording: Recording, result: Named) -> Named:
+    """Return the named effects without spikes that are samples of a step; `recording`: with all its samples."""
+    if _has_spikes(recording, result.recording, result.fitted.model):
+        return result
+    spiky = {place for place, one in enumerate(result.found) if one.name == "spikes"}
+    probabilities = {name: each for name, each in result.probabilities.items() if name != "spikes"}
+    return replace(result, found=less(result.found, spiky), probabilities=probabilities)
+
+
+def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:
+    """Return whether wrong samples are significant away from steps; True if none next to a step was left out."""
+    terms = [term for term in model.terms if term.name == _STEP]
+    times = np.array([term.setting[end] for term in terms for end in ("time", "until") if end in term.setting])
+    left_out = before.magnetic_field_fresh & ~after.magnetic_field_fresh
+    near = (np.abs(before.time[:, None] - times) < _WINDOW).any(axis=1)
+    if not (left_out & near).any():
+        return True
+    fine = fine_innovations(replace(before, magnetic_field_fresh=before.magnetic_field_fresh & ~near), model)
+    return spikes(fine.innovation, fine.level, 0.0).significant
