@@ -20,7 +20,6 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
 _NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "coloured-noise")
 _FITTED = ("coloured-noise", "spikes")
-_IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _LEAST = 1e-3  # nats of evidence below which a p-value counts as 1
 
 
@@ -47,12 +46,15 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
     ]
     if not here:
         return None
-    scale = 1e6 if name in _IN_TESLA else 1.0
+    unit, scale = here[0][1].shown
     each = np.array([np.linalg.norm(one.value) * scale for _, one, _ in here])
     instrument = everywhere >= 0.5
+    value, sigma = np.zeros(0), np.zeros(0)
+    if instrument and unit:
+        value, sigma = np.array([np.median(each)]), np.array([each.std() / np.sqrt(len(each))])
     inside = tuple(
-        InLog(log.name, p, value[None], np.full(1, np.nan), dict(one.setting))
-        for (log, one, p), value in zip(here, each, strict=True)
+        InLog(log.name, p, size[None], np.full(1, np.nan), dict(one.setting))
+        for (log, one, p), size in zip(here, each, strict=True)
     )
     whose = "in the instrument, in" if instrument else "from the place or the day, in"
     return SharedEffect(
@@ -60,10 +62,10 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
         LABELS[name],
         "instrument" if instrument else "place",
         everywhere,
-        np.array([np.median(each)]) if instrument and name in _IN_TESLA else np.zeros(0),
-        np.array([each.std() / np.sqrt(len(each))]) if instrument and name in _IN_TESLA else np.zeros(0),
-        ("size",) if name in _IN_TESLA else (),
-        "µT" if name in _IN_TESLA else "",
+        value,
+        sigma,
+        ("size",) if unit else (),
+        unit,
         {},
         evidence,
         float("nan"),
