@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.many.one_log import OneLog
@@ -28,6 +29,11 @@ class AddedEffect:
     present: Array
     settings: tuple[Mapping[str, float] | None, ...]
     rivals: tuple[str, ...]
+
+    def in_logs(self, kept: np.ndarray) -> AddedEffect:
+        """Return the effect in those of the logs that are `kept` (logs,) bool."""
+        settings = tuple(setting for setting, keep in zip(self.settings, kept, strict=True) if keep)
+        return replace(self, present=self.present[kept], settings=settings)
 
 
 def told(
@@ -81,25 +87,29 @@ def _variation(each: AddedEffect, logs: Sequence[OneLog]) -> SharedEffect:
 
 def _effect(each: AddedEffect, logs: Sequence[OneLog], calibrations: Mapping[str, Calibration]) -> SharedEffect:
     term = TERMS[each.name]
-    here = [
-        (log, setting, p)
+    found = [
+        (log, setting, float(p), next(t for t in calibrations[log.name].terms if t.name == each.name))
         for log, setting, p in zip(logs, each.settings, each.present, strict=True)
         if setting is not None
     ]
-    found = [(log, setting, float(p), *_value(calibrations[log.name], each.name)) for log, setting, p in here]
     inside = tuple(
-        InLog(log.name, p, value * term.scale, np.sqrt(np.diag(covariance)) * term.scale, setting)
-        for log, setting, p, value, covariance in found
+        InLog(log.name, p, own.value * term.scale, own.sigma * term.scale, setting)
+        for log, setting, p, own in found
     )
     instrument = each.instrument >= 0.5
-    sizes = {len(value) for _, _, _, value, _ in found}
     value, sigma, scatter = np.zeros(0), np.zeros(0), float("nan")
-    if instrument and len(sizes) == 1:
-        value, covariance, scatter = _combined([(v, c) for *_, v, c in found])
+    if instrument and len({len(log.value) for log in inside}) == 1:
+        value, covariance, scatter = _combined([own for *_, own in found])
         value, sigma = value * term.scale, np.sqrt(np.diag(covariance)) * term.scale
-    setting = dict(found[0][1]) if instrument and found else {}
-    rows = term.rows(found[0][0].refitted.twin, found[0][1]) if found else ()
-    count = len(value) or (len(found[0][3]) if found else 0)
+    first, setting = found[0][:2]
+    rows = term.rows(first.refitted.twin, setting)
+    rivals = ", ".join(LABELS.get(name, FIELD_VARIES) for name in each.rivals)
+    also = f" (or {rivals}: these logs cannot distinguish them)" if rivals else ""
+    if instrument:
+        said = term.sentence(value, sigma, setting, rows) if len(value) else term.label
+        sentence = f"in the instrument, the same in all logs: {said}{also}"
+    else:
+        sentence = f"from the place or the day, {_where(inside, len(logs))}: {term.label}{also}"
     return SharedEffect(
         each.name,
         LABELS[each.name],
@@ -107,48 +117,26 @@ def _effect(each: AddedEffect, logs: Sequence[OneLog], calibrations: Mapping[str
         each.instrument,
         value,
         sigma,
-        term.names(count, rows),
+        term.names(len(value) or len(inside[0].value), rows),
         term.unit,
-        setting,
+        dict(setting) if instrument else {},
         each.evidence,
         scatter,
         each.rivals,
         inside,
-        _sentence(each, inside, value, sigma, setting, rows, len(logs)),
+        sentence,
     )
 
 
-def _value(calibration: Calibration, name: str) -> tuple[Array, Array]:
-    term = next(term for term in calibration.terms if term.name == name)
-    return term.value, term.covariance
-
-
-def _combined(values: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
+def _combined(terms: Sequence[Term]) -> tuple[Array, Array, float]:
     """Return the mean weighted by information, its covariance, and χ² per degree of freedom of the values about it."""
-    information = [np.linalg.pinv(covariance, hermitian=True) for _, covariance in values]
+    information = [np.linalg.pinv(term.covariance, hermitian=True) for term in terms]
     covariance = np.linalg.pinv(np.sum(information, axis=0), hermitian=True)
-    mean = covariance @ np.sum([w @ v for w, (v, _) in zip(information, values, strict=True)], axis=0)
-    away = sum(float((v - mean) @ w @ (v - mean)) for w, (v, _) in zip(information, values, strict=True))
-    freedoms = len(mean) * (len(values) - 1)
+    mean = covariance @ np.sum([w @ term.value for w, term in zip(information, terms, strict=True)], axis=0)
+    from_mean = [term.value - mean for term in terms]
+    away = sum(float(v @ w @ v) for w, v in zip(information, from_mean, strict=True))
+    freedoms = len(mean) * (len(terms) - 1)
     return mean, covariance, away / freedoms if freedoms else float("nan")
-
-
-def _sentence(
-    each: AddedEffect,
-    inside: Sequence[InLog],
-    value: Array,
-    sigma: Array,
-    setting: Mapping[str, float],
-    rows: Sequence[str],
-    count: int,
-) -> str:
-    term = TERMS[each.name]
-    rivals = ", ".join(LABELS.get(name, FIELD_VARIES) for name in each.rivals)
-    also = f" (or {rivals}: these logs cannot distinguish them)" if rivals else ""
-    if each.instrument >= 0.5:
-        said = term.sentence(value, sigma, setting, rows) if len(value) else term.label
-        return f"in the instrument, the same in all logs: {said}{also}"
-    return f"from the place or the day, {_where(inside, count)}: {term.label}{also}"
 
 
 def _where(inside: Sequence[InLog], count: int) -> str:

@@ -23,7 +23,7 @@ from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.doubt import doubted
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.verdict import among, missing
-from magyc_gtsam.gap.result import Doubt
+from magyc_gtsam.gap.result import Doubt, Verdict
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.expected import expect_recording
@@ -159,11 +159,11 @@ def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
     shared = weighed.instrument >= 0.5 and weighed.name not in OF_THE_INSTRUMENT
     said = []
     for log, best, present in zip(logs, weighed.best, weighed.present, strict=True):
-        if best is None or not (shared or present > MODEL.has_it):
+        if best is None or not (shared or present > 0.5):
             continue
         value, setting = (weighed.value, weighed.setting) if shared else (best.value, best.setting)
         said.append(TERMS[weighed.name].possible(log.refitted.twin, value, setting))
-    return not said or float(np.mean(said)) >= MODEL.mostly
+    return not said or float(np.mean(said)) >= 0.5
 
 
 def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
@@ -182,7 +182,7 @@ def _alternatives(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
     first = weighed[0]
 
     def lead(other: WeighedOverLogs) -> float:
-        return MODEL.moments if first.name in MOMENTS and other.name in MOMENTS else MODEL.lead
+        return MODEL.moments if first.name in MOMENTS and other.name in MOMENTS else MODEL.sure
 
     return tuple(
         other.name for other in weighed[1:] if other.named and other.nats > max(first.nats - lead(other), 0.0)
@@ -196,10 +196,7 @@ def _without_logs(state: _State, few: np.ndarray, strongest: WeighedOverLogs) ->
         if out
     )
     kept = tuple(log for log, out in zip(state.logs, few, strict=True) if not out)
-    added = tuple(
-        replace(each, present=each.present[~few], settings=tuple(np.array(each.settings, dtype=object)[~few]))
-        for each in state.added
-    )
+    added = tuple(each.in_logs(~few) for each in state.added)
     return replace(state, logs=kept, own=(*state.own, *own), added=added)
 
 
@@ -217,9 +214,9 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
     own: list[LogLeftOut] = []
     settings: list[dict[str, float] | None] = []
     present: list[float] = []
-    for log, best, probability in zip(state.logs, chosen.best, chosen.present, strict=True):
-        here = best is not None and (instrument or probability > MODEL.has_it)
-        if not here or best is None:
+    kept = np.ones(len(state.logs), dtype=bool)
+    for k, (log, best, probability) in enumerate(zip(state.logs, chosen.best, chosen.present, strict=True)):
+        if best is None or not (instrument or probability > 0.5):
             logs.append(log)
             settings.append(None)
             present.append(float(probability))
@@ -233,28 +230,18 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
             logs.append(log.with_effect(chosen.name, setting, value))
         except MagycError as problem:
             own.append(LogLeftOut(log.name, str(problem)))
+            kept[k] = False
             continue
         settings.append(setting)
         present.append(1.0 if instrument else float(probability))
     one = AddedEffect(chosen.name, chosen.nats, chosen.instrument, np.array(present), tuple(settings), rivals)
-    gone = {each.log for each in own}
-    keep = np.array([log.name not in gone for log in state.logs])
-    before = tuple(
-        replace(
-            each,
-            present=each.present[keep],
-            settings=tuple(s for s, k in zip(each.settings, keep, strict=True) if k),
-        )
-        for each in state.added
-    )
+    before = (each.in_logs(kept) for each in state.added)
     return replace(state, logs=tuple(logs), own=(*state.own, *own), added=(*before, one))
 
 
 def _with_variation(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _State:
     """Add a varying field to the logs that have it."""
-    here = [
-        log.varying[1] is not None and p > MODEL.has_it for log, p in zip(state.logs, chosen.present, strict=True)
-    ]
+    here = [log.varying[1] is not None and p > 0.5 for log, p in zip(state.logs, chosen.present, strict=True)]
     logs = tuple(
         replace(log, variation=log.varying[1]) if own else log for log, own in zip(state.logs, here, strict=True)
     )
@@ -266,21 +253,22 @@ def _with_variation(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, .
 def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
     calibrations = {log.name: _calibration(log) for log in state.logs}
     effects = (*told(state.added, state.logs, calibrations), *noise)
-    if state.unknown:
-        doubt = Doubt(_missing(state.unknown, state.logs, state.names), "compare the logs singly (`mg.find_gap`)")
+    where = _missing(state.unknown, state.logs, state.names) if state.unknown else ""
+    if where:
+        doubt = Doubt(where, "compare the logs singly (`mg.find_gap`)")
         calibrations = {name: doubted(calibration, doubt) for name, calibration in calibrations.items()}
     weights = tuple(Weight(each.name, each.shared, each.apart) for each in state.weighed)
     named = "; ".join(effect.sentence for effect in effects)
+    verdict: Verdict
     if len(state.logs) < MODEL.least:
         verdict, said = "not enough information", f"{len(state.logs)} of the logs can be used, and two are needed"
-    elif state.unknown:
-        verdict, where = "unknown", _missing(state.unknown, state.logs, state.names)
-        said = f"{named}; beside that, {where}" if named else where
+    elif where:
+        verdict, said = "unknown", f"{named}; beside that, {where}" if named else where
     elif effects:
         verdict, said = "closed", named
     else:
         verdict, said = "none", f"nothing is missing in {len(state.logs)} logs"
-    return GapOfMany(verdict, said, effects, state.own, weights, calibrations)  # type: ignore[arg-type]
+    return GapOfMany(verdict, said, effects, state.own, weights, calibrations)
 
 
 def _calibration(log: OneLog) -> Calibration:

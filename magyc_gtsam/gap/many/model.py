@@ -11,14 +11,18 @@ from magyc_gtsam.gap.effects import MOMENTS
 class ManyModel:
     """The thresholds for a name over many logs; the prior of the effects is that of one log (`evidence.prior`).
 
+    What is more likely than not, a probability above one half, is taken to be so: whether an effect is the
+    instrument's, whether a log has it.
+
     Attributes:
         shares: shares of the logs that have an effect of the place or the day, equally probable.
         sure: nats of evidence from which something is missing. The strongest of all hypotheses over ten clean logs has
-            −1.9 to 0.7 nats (9 such sets of wide and moderate motion).
-        lead: nats by which the strongest name must lead; otherwise the next is an alternative.
-        moments: the same between jumps, drifts and passed objects, whose forms only approximate the true one: over ten
-            logs with a jump a quarter the size of a published one, a drift has 3 to 8 nats more than the jump.
-        generic: nats, and share of its own, by which a generic family must lead all names.
+            −1.9 to 0.7 nats (9 such sets of wide and moderate motion). By as much the strongest name must lead,
+            otherwise the next is an alternative, and a generic family must lead all names.
+        moments: nats by which a name must lead between jumps, drifts and passed objects, whose forms only approximate
+            the true one: over ten logs with a jump a quarter the size of a published one, a drift has 3 to 8 nats more
+            than the jump.
+        generic: share of its own evidence by which a generic family must lead all names, beside `sure`.
         remain: share of the explained evidence that may remain as a rival or as no name, because effects do not quite
             have the catalogue's form.
         remain_apart: the same as an effect that is no rival: effects of twice their published strength leave 0.2 and
@@ -26,9 +30,7 @@ class ManyModel:
         few: share of the logs up to which an effect without a name is attributed to these logs alone.
         most: number of effects at which a search ends.
         alone: nats from which one log alone names an effect on the noise.
-        has_it: probability from which a log gets an effect of the place.
         plain: probability from which an effect without a name is attributed to a log.
-        mostly: share of the logs in which a value must be possible.
         least: number of logs needed for a comparison.
         settled: nats for and against effects that are detected with certainty: exchanged axes, held values, coarse
             steps.
@@ -36,17 +38,14 @@ class ManyModel:
 
     shares: tuple[float, ...] = (0.1, 0.5, 0.9)
     sure: float = 3.0
-    lead: float = 3.0
     moments: float = 10.0
-    generic: tuple[float, float] = (3.0, 0.05)
+    generic: float = 0.05
     remain: float = 0.08
     remain_apart: float = 0.01
     few: float = 0.34
     most: int = 5
     alone: float = 6.0
-    has_it: float = 0.5
     plain: float = 0.9
-    mostly: float = 0.5
     least: int = 2
     settled: float = 20.0
 

@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from magyc_gtsam.gap.effects import LABELS
+from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import InLog, SharedEffect
 from magyc_gtsam.gap.many.weighing import mixture
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
-_NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "coloured-noise")
 _FITTED = ("coloured-noise", "spikes")
 _LEAST = 1e-3  # nats of evidence below which a p-value counts as 1
 
@@ -26,7 +25,7 @@ _LEAST = 1e-3  # nats of evidence below which a p-value counts as 1
 def noise_effects(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[SharedEffect, ...]:
     """Return the effects on the noise, strongest first, without weak ones that a stronger one may cause."""
     scores = [log.noise() for log in logs]
-    found = [_effect(name, logs, scores) for name in _NAMES if name in names]
+    found = [_effect(name, logs, scores) for name in reversed(names) if name not in TERMS]
     kept: list[SharedEffect] = []
     for each in sorted((one for one in found if one is not None), key=lambda one: -one.evidence):
         if each.evidence > MODEL.sure + MODEL.remain * sum(before.evidence for before in kept):
@@ -40,9 +39,7 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
     nats = [untested if one is None else _nats(one) for one in own]
     evidence, present, everywhere = mixture(np.array(nats)[None, None])
     here = [
-        (log, one, float(p))
-        for log, one, p in zip(logs, own, present, strict=True)
-        if one is not None and p > MODEL.has_it
+        (log, one, float(p)) for log, one, p in zip(logs, own, present, strict=True) if one is not None and p > 0.5
     ]
     if not here:
         return None

@@ -8,9 +8,8 @@ from typing import Any, Literal
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.result import Verdict
 from magyc_gtsam.storage.json_types import json_types
-
-Verdict = Literal["none", "closed", "unknown", "not enough information"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,7 @@ class WeighedOverLogs:
     def nats(self) -> float:
         """Return the evidence of both cases together; for a generic family less its required lead."""
         nats = float(np.logaddexp(self.shared, self.apart) - np.log(2))
-        return nats if self.named else nats - MODEL.generic[0] - MODEL.generic[1] * max(nats, 0.0)
+        return nats if self.named else nats - MODEL.sure - MODEL.generic * max(nats, 0.0)
 
     @property
     def instrument(self) -> float:
