@@ -9,6 +9,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 UPPER = np.triu_indices(3)  # rows and columns of the entries of a vector
+ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")  # their names
 MULTIPLICITY = np.where(
     UPPER[0] == UPPER[1], 1.0, 2.0
 )  # entries of the matrix that each entry of a vector stands for

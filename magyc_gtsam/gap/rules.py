@@ -20,7 +20,6 @@ class Rules:
     # nats that two fitted parameters of a noise model may gain by chance (with a margin)
     chance: float = 9.0
     coarse: float = 0.7  # step in sigmas above which quantisation is an effect
-    coloured: float = 3.0  # standard deviations above which an autocorrelation is significant
     contradicted: float = 4.0  # sigmas above which the data contradict a parameter of a given calibration
     # sigma, relative to the prior's, up to which the data determine a direction of the values
     determined_by_data: float = 0.75
@@ -57,21 +56,18 @@ class Rules:
     clock_age: float = 1.2  # rows, largest difference between the ages of held samples of one clock
     clock_hole: float = 1.5  # row spacings above which rows are missing
     clock_samples: int = 10  # needed to detect a clock
-    clock_beat: int = (
-        4  # samples, longest period of a clock synchronous with the rows: a quarter of a row is uncertain
-    )
+    # samples, longest period of a clock synchronous with the rows: a quarter of a row is uncertain
+    clock_beat: int = 4
     clock_in_step: float = 0.99  # share of synchronous samples; the others allow for single late rows
     # T per sample, below which data are noise-free: less than the noise of a laboratory's fluxgate, more than rounding
     # to single precision; in this percentage of the differences, because the others may span a motion that is not
     # smooth
     noiseless: float = 5e-11
     noiseless_share: float = 90.0
-    cut_off: float = (
-        0.25  # share of clipped samples above which the saturation model is sigmas off: 2 at 0.4, 4 at 0.6
-    )
-    blurred: float = (
-        0.2  # of the model's residual, below which the mean rounding error of coarse steps does not matter
-    )
+    # share of clipped samples above which the saturation model is sigmas off: 2 at 0.4, 4 at 0.6
+    cut_off: float = 0.25
+    # of the model's residual, below which the mean rounding error of coarse steps does not matter
+    blurred: float = 0.2
 
     # Single samples.
     lattice_distinct: float = 0.5  # share of distinct values, up to which readings may be on a lattice
@@ -81,9 +77,8 @@ class Rules:
     # times the level beside it, above which the gyroscope has a line: white noise has 6, hand motions 32 at most, a
     # simulated swell 10,000
     motion_line: float = 30.0
-    pattern: float = (
-        1e-3  # share of a constant's power that uneven times put at a frequency, above which it is excluded
-    )
+    # share of a constant's power that uneven times put at a frequency, above which it is excluded
+    pattern: float = 1e-3
 
     # Effects and families.
     block: float = 10.0  # s, of a held-out block at most
@@ -98,9 +93,8 @@ class Rules:
     # was named beside a drift in one of 51 s (edition 332); 9 to 17 s name both
     drift_period: float = 12.0
     far_from_zero: float = 30.0  # deviations above which a channel's 0 need not be the point without current
-    clipped_loss: float = (
-        0.12  # share lost beyond a level by clipping; a smaller loss is a slight bend, a gain is neither
-    )
+    # share lost beyond a level by clipping; a smaller loss is a slight bend, a gain is neither
+    clipped_loss: float = 0.12
     bent_loss: float = 0.3  # share lost beyond a level by saturation over a knee; a cubic loses less
     # share of the delays' squares that their differences have, below which they are one delay: axes that are read one
     # after the other have 0.4; the two columns more of unequal delays took the place of BROAD 04's one delay

@@ -15,9 +15,8 @@ import numpy as np
 from scipy.stats import norm
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import unvech, vech
+from magyc_gtsam.factors.chain.vech import ENTRIES, unvech, vech
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.effects.soft_iron import SYMMETRIC
 from magyc_gtsam.gap.effects.term import AXES
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates, what_matters
@@ -160,7 +159,7 @@ def _parameters(measured: Refit, simulated: Refit) -> Iterator[_Row]:
 
     groups: tuple[tuple[str, tuple[str, ...], Callable[[Array], Array], str], ...] = (
         ("field strength", ("",), lambda t: np.array([np.cbrt(abs(np.linalg.det(unvech(t[:6]))))]) * 1e6, "µT"),
-        ("soft iron", SYMMETRIC, shape, "%"),
+        ("soft iron", ENTRIES, shape, "%"),
         ("hard iron", AXES, lambda t: t[6:9] * 1e6, "µT"),
         ("gyroscope bias", AXES, lambda t: t[9:12] * 1e3, "mrad/s"),
     )

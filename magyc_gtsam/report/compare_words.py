@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.vech import ENTRIES
 from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.verdict import Verdict
@@ -15,7 +16,6 @@ from magyc_gtsam.report.words import uncertain
 from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 _HUGE = 1e5  # in the unit shown; larger values are written without decimals
-_UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def records(comparison: Comparison) -> list[dict[str, Any]]:
@@ -42,7 +42,7 @@ def records(comparison: Comparison) -> list[dict[str, Any]]:
                 "soft_iron",
                 None if calibration is None else calibration.soft_iron[upper],
                 sigma["soft_iron"][upper] if sigma else None,
-                _UPPER,
+                ENTRIES,
             ),
             (
                 "hard_iron",
@@ -169,7 +169,7 @@ def result_rows(comparison: Comparison) -> list[list[str]]:
     return rows
 
 
-SOFT_IRON = ("method", *(f"soft iron {name}" for name in _UPPER))
+SOFT_IRON = ("method", *(f"soft iron {name}" for name in ENTRIES))
 GYROSCOPE = ("method", *(f"gyroscope bias {axis} (mrad/s)" for axis in "xyz"), "delay (ms)")
 
 

@@ -29,7 +29,7 @@ SETTLED = 5e-3  # squared distance from the minimum, in sigmas, at which a desce
 NEAR = 4.0  # the same limit between updates of noise levels and weights: two sigmas
 _UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are relinearised
 _ROUNDING = 1e-9  # tolerance on the cost, which is close to zero for noise-free data
-_COLOURED = 3.0  # standard deviations from which an autocorrelation counts
+COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def colour_of(residual: Array) -> float:
     factor = 1.0
     for lag in range(1, residual.shape[1] // 4):
         correlation = float(np.vdot(residual[:, lag:], residual[:, :-lag])) / max(total, 1e-300)
-        if correlation < _COLOURED / np.sqrt(residual.size):
+        if correlation < COLOURED / np.sqrt(residual.size):
             break
         factor += 2 * correlation
     return factor

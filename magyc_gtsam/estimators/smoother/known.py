@@ -18,7 +18,7 @@ from magyc_gtsam.estimators.smoother.vertical import MODEL
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.facts import Fact, IronFact, LinearFact, StrengthFact, field_strength, quadratic
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.factors.chain.vech import ENTRIES, vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
@@ -40,7 +40,6 @@ class _Place:
 
 
 _PLACE = _Place()
-_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 class PriorKnowledge(NamedTuple):
@@ -226,7 +225,7 @@ def doubtful_strength(parameters: Array, covariance: Array, options: SmootherOpt
 
 def _difference_text(k: int, away: float, sigma: float) -> str:
     if k < 6:
-        return f"soft iron {_NAMES[k]} by {100 * away:+.2f} %, known to {100 * sigma:.2g} %"
+        return f"soft iron {ENTRIES[k]} by {100 * away:+.2f} %, known to {100 * sigma:.2g} %"
     return f"hard iron {'xyz'[k - 6]} by {1e6 * away:+.2f} µT, known to {1e6 * sigma:.2g} µT"
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import ENTRIES
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.iron import circuits, lagged, lagged_nearby, step_nearby, step_times
 from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, vector
-
-SYMMETRIC = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
@@ -55,7 +54,7 @@ LOAD = EffectTerm(
     scale=1e2,
     matters=6e-3,
     rivals=("motor-current", "current-squared"),
-    parameters=SYMMETRIC,
+    parameters=ENTRIES,
     say=_say_load,
     motion="run the load at several powers on every heading",
     settings=circuits,
@@ -72,7 +71,7 @@ STEP = EffectTerm(
     scale=1e2,
     matters=6e-3,
     rivals=("hard-iron-step",),
-    parameters=SYMMETRIC,
+    parameters=ENTRIES,
     say=_say_step,
     motion="turn a full circle before and after the moment in question, at the same place",
     settings=step_times,

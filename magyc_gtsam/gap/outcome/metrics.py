@@ -17,6 +17,7 @@ from magyc_gtsam.gap.outcome.agreement import GapMap, Line, Metrics, OpenLoop
 from magyc_gtsam.gap.outcome.held_out import held_out
 from magyc_gtsam.gap.samples.fine import Fine
 from magyc_gtsam.gap.samples.noise_effects import tone
+from magyc_gtsam.gap.samples.wrong_samples import autocorrelation
 from magyc_gtsam.metrics import heading_deviation
 from magyc_gtsam.recording import Recording
 
@@ -91,10 +92,7 @@ def open_loop(twin: Twin, horizon: float = HORIZON) -> OpenLoop:
 
 def whiteness(innovation: Array) -> float:
     """Return the root mean square of the first autocorrelations relative to that of white noise."""
-    n = innovation.shape[1]
-    total = float(np.vdot(innovation, innovation))
-    lags = range(1, min(20, n // 4) + 1)
-    rho = np.array([float(np.vdot(innovation[:, k:], innovation[:, :-k])) / total for k in lags])
+    rho = autocorrelation(innovation, 20)
     return float(np.sqrt((rho**2).mean() * innovation.size))
 
 

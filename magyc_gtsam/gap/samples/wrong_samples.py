@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import convolve1d, maximum_filter1d, median_filter
 
+from magyc_gtsam.estimators.smoother.fit import COLOURED
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
@@ -98,7 +99,10 @@ def _outliers(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
 
 def _neighbour_weights(row: Array, order: int) -> Array:
     """Return the weights (2 order + 1,) of the neighbours in a residual, 0 for the sample itself."""
-    ahead = np.append(1.0, -autoregression(row, order)[0]) if order else np.ones(1)
+    ahead = np.ones(1)
+    if order:  # by the equations of Yule and Walker
+        r = np.array([np.vdot(row[lag:], row[: len(row) - lag]) for lag in range(order + 1)]) / len(row)
+        ahead = np.append(1.0, -solve_toeplitz(r[:-1], r[1:]))
     weights: Array = np.convolve(ahead, ahead[::-1]) / (ahead @ ahead)
     weights[order] = 0.0
     return weights
@@ -147,19 +151,15 @@ def _one(square: Array) -> _Mixture:
     return _Mixture(-1.5 * n * (np.log(variance) + 1), np.ones(1), np.array([variance]), np.ones((1, n)))
 
 
+def autocorrelation(innovation: Array, most: int) -> Array:
+    """Return the autocorrelation of innovations (3, n), axes together, at the lags 1 to `most`, fewer of a short n."""
+    n, total = innovation.shape[1], float(np.vdot(innovation, innovation))
+    lags = range(1, min(most, n // 4) + 1)
+    return np.array([float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total for lag in lags])
+
+
 def memory(innovation: Array) -> int:
     """Return the longest significant lag of the autocorrelation of innovations (3, n), axes together; 0 if white."""
-    n = innovation.shape[1]
-    total = float(np.vdot(innovation, innovation))
-    lags = range(1, min(_ORDER, n // 4) + 1)
-    rho = np.array([float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total for lag in lags])
-    significant = np.flatnonzero(np.abs(rho) > RULES.coloured / np.sqrt(innovation.size))
+    rho = autocorrelation(innovation, _ORDER)
+    significant = np.flatnonzero(np.abs(rho) > COLOURED / np.sqrt(innovation.size))
     return int(significant[-1]) + 1 if len(significant) else 0
-
-
-def autoregression(rows: Array, order: int) -> tuple[Array, float]:
-    """Return the Yule–Walker coefficients (order,) of rows (..., n), and the power of their prediction errors."""
-    n = rows.shape[-1]
-    r = np.array([np.vdot(rows[..., lag:], rows[..., : n - lag]) for lag in range(order + 1)]) / rows.size
-    coefficients = solve_toeplitz(r[:-1], r[1:])
-    return coefficients, float(r[0] - coefficients @ r[1:])
