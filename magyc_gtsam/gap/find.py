@@ -87,13 +87,12 @@ def find_gap(
             noise-free data are not an error but give the verdict "not enough information".
     """
     expect_progress(progress)
-    names = _names(candidates)
+    names, report = _names(candidates), progress or (lambda _: None)
     if isinstance(recording, Sequence) and not isinstance(recording, str):
         if calibration is not None or simulated is not None:
             raise MagycError("mg.find_gap: of several recordings takes no calibration= and no simulated=")
-        return find_gap_of_many(recording, names, progress)
+        return find_gap_of_many(recording, names, report)
     _check_types(recording, calibration, simulated)
-    report = progress or (lambda _: None)
     report(0.0)
     calibration, _ = on_recording(calibration, recording)
     theirs, before = None, 0.0

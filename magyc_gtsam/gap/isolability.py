@@ -43,10 +43,8 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
     """
     noise = short_term_noise(recording)
     twin = base_model(recording, None, noise).twin
-    trials, random = (
-        _Trials.of(Candidates.of(twin, tuple(TERMS), ()), Beside.of_model(twin)),
-        np.random.default_rng(0),
-    )
+    trials = _Trials.of(Candidates.of(twin, tuple(TERMS), ()), Beside.of_model(twin))
+    random = np.random.default_rng(0)
     tested = {name for batch in trials.candidates.batches for name in batch.names}
     terms = tuple(
         _row(term, trials, twin, random) if name in tested else _absent(term, term.missing(twin))
@@ -76,14 +74,19 @@ class _Trials(NamedTuple):
         every = (np.linalg.eigh(information_of(batch, beside.noise, reach)) for batch in candidates.batches)
         return cls(candidates, beside, reach, [(np.maximum(value, 0.0), vector) for value, vector in every])
 
+    def places(self, name: str) -> list[tuple[int, int]]:
+        """Return the batch of each setting of an effect, and its place in it."""
+        return [
+            (k, i)
+            for k, batch in enumerate(self.candidates.batches)
+            for i, n in enumerate(batch.names)
+            if n == name
+        ]
+
     def everywhere(self, name: str) -> list[tuple[float, Array]]:
         """Return the log prior of each setting of an effect, and the information of its values there."""
-        return [
-            (float(batch.prior[i]), (vector[i] * value[i]) @ vector[i].T)
-            for batch, (value, vector) in zip(self.candidates.batches, self.spectra, strict=True)
-            for i, one in enumerate(batch.names)
-            if one == name
-        ]
+        spectra = ((float(self.candidates.batches[k].prior[i]), *self.spectra[k], i) for k, i in self.places(name))
+        return [(prior, (vector[i] * value[i]) @ vector[i].T) for prior, value, vector, i in spectra]
 
     def weighed(self, innovations: Array) -> dict[str, Array]:
         """Return {name: nats (trials,)} of innovations (trials, 3n)."""
@@ -99,15 +102,10 @@ class _Trials(NamedTuple):
 
 
 def _row(term: EffectTerm, trials: _Trials, twin: Twin, random: np.random.Generator) -> Isolability:
-    places = [
-        (batch, i)
-        for batch in trials.candidates.batches
-        for i, name in enumerate(batch.names)
-        if name == term.name
-    ]
-    rows, setting = sorted(  # a typical one, in the grid's order
-        ((batch.rows[i], batch.settings[i]) for batch, i in places), key=lambda one: one[0][0]
-    )[len(places) // 2]
+    batches = trials.candidates.batches
+    places = ((batches[k].rows[i], batches[k].settings[i]) for k, i in trials.places(term.name))
+    ordered = sorted(places, key=lambda one: one[0][0])  # as in the effect's grid
+    rows, setting = ordered[len(ordered) // 2]
     columns, reach = trials.candidates.columns[rows], trials.reach[rows]
     gram = columns @ columns.T
     left = np.maximum(np.diag(gram - reach @ reach.T), 0.0) / np.maximum(np.diag(gram), 1e-300)

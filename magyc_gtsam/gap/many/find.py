@@ -45,19 +45,18 @@ class _State:
 
 
 def find_gap_of_many(
-    recordings: Sequence[Recording], candidates: Sequence[str], progress: Progress | None = None
+    recordings: Sequence[Recording], candidates: Sequence[str], report: Progress = lambda _: None
 ) -> GapOfMany:
     """Compare all logs of one instrument.
 
     Args:
         recordings: of one instrument, each with magnetometer and gyroscope.
         candidates: names to choose from.
-        progress: called with the share done.
+        report: called with the share done.
 
     Raises:
         MagycError: no recordings, or an object that is not a recording.
     """
-    report = progress or (lambda _: None)
     state = _fitted_logs(recordings, candidates, lambda share: report(0.4 * share))
     if len(state.logs) >= MODEL.least:
         for step in range(MODEL.most + 1):

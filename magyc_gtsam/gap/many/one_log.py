@@ -106,7 +106,7 @@ class OneLog:
             MagycError: no gyroscope, or data that cannot be calibrated.
         """
         needs_gyroscope(recording)
-        data, _ = without_channel_holes(without_faults(recording, ("magnetic_field", "angular_rate")).recording)
+        data, _ = without_channel_holes(without_faults(recording).recording)
         data, discrete = settled(data, names)
         short_term = short_term_noise(data)
         base = base_model(data, None, short_term)
