@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -72,6 +71,8 @@ def _noise_sentence(noise: NoiseScore) -> str:
 def describe(
     found: Sequence[Found],
     refitted: Refit,
+    corrected: Refit,
+    calibration: Calibration,
     probabilities: Mapping[str, float],
     uncorrected: Container[int],
     unpaid: Container[int] = (),
@@ -81,11 +82,15 @@ def describe(
     Args:
         found: the effects.
         refitted: the model that contains them.
+        corrected: the model with those that are corrected.
+        calibration: of `corrected`, with the model error in the covariance of its terms.
         probabilities: of all names.
         uncorrected: places in `found` of effects that are named only.
         unpaid: places of those among them whose correction gains nothing.
     """
     indices, times = term_places(found, refitted.model), step_time_sigmas(refitted)
+    applied, count = [place for place in indices if place not in uncorrected], len(corrected.model.terms)
+    terms = dict(zip(applied, calibration.terms[count - len(applied) : count], strict=True))
     effects = []
     for place, one in enumerate(found):
         if one.noise is None:
@@ -95,6 +100,8 @@ def describe(
             if index in times:
                 setting["time_sigma"] = times[index]
             rows = term.rows(refitted.twin, setting)
+            if place in terms:
+                sigma = terms[place].sigma
             unit, scale, parameters = term.unit, term.scale, term.names(len(value), rows)
             sentence = term.sentence(value * scale, sigma * scale, setting, rows)
         else:
@@ -121,21 +128,3 @@ def describe(
             )
         )
     return tuple(effects)
-
-
-def with_model_error(effects: Sequence[Effect], fitted: Refit, calibration: Calibration) -> tuple[Effect, ...]:
-    """Return the effects, of which those that are corrected have the sigmas of the calibration's terms.
-
-    Args:
-        effects: those that are terms in the order of the model's.
-        fitted: the model with those that are corrected.
-        calibration: of `fitted`, with the model error in the covariance of its terms.
-    """
-    result, count = list(effects), len(fitted.model.terms)
-    places = [place for place, one in enumerate(effects) if one.applied and one.name in TERMS]
-    for place, of_model in zip(places, calibration.terms[count - len(places) : count], strict=True):
-        one, term = effects[place], TERMS[effects[place].name]
-        sigma, rows = of_model.sigma * term.scale, term.rows(fitted.twin, one.setting)
-        sentence = term.sentence(one.value, sigma, one.setting, rows)
-        result[place] = replace(one, sigma=sigma, sentence=sentence)
-    return tuple(result)

@@ -17,16 +17,16 @@ from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, wide
 from magyc_gtsam.gap.naming.found import Found, as_found, term_places
 from magyc_gtsam.gap.naming.named import Named
 from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
-from magyc_gtsam.gap.outcome.described import describe, with_model_error
+from magyc_gtsam.gap.outcome.described import describe
 from magyc_gtsam.gap.outcome.doubt import doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
 from magyc_gtsam.gap.outcome.moved import against, contradiction, moved
-from magyc_gtsam.gap.outcome.verdict import among, manoeuvre, place_of, unseen, verdict
+from magyc_gtsam.gap.outcome.verdict import among, manoeuvre, place_of, sentence_of, unseen, verdict
 from magyc_gtsam.gap.outcome.worth import pays
 from magyc_gtsam.gap.preparation.clocks import APART_IN_BRIEF, CLOCK_DRIFT
-from magyc_gtsam.gap.result import Doubt, Gap, Untested
+from magyc_gtsam.gap.result import Doubt, Effect, Gap, Moved, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
@@ -80,45 +80,40 @@ def gap_of(
     """
     strength = None if calibration is None else calibration.field_strength
     first, plain = result.first, widened(result.fitted)
-    base, held = widened(first.refit), tempered(plain.twin.problem, result.fitted, short_term)
-    last = widened(held)
+    base, last = widened(first.refit), widened(tempered(plain.twin.problem, result.fitted, short_term))
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
     known, added = _other_terms(calibration, found)
     places = term_places(found, plain.model)
     open_places = {place: index for place, index in places.items() if not determined(plain, index)}
-    unpaid = _not_worthwhile(result, held, {p: i for p, i in places.items() if p not in open_places})
+    unpaid = _not_worthwhile(result, last, {p: i for p, i in places.items() if p not in open_places})
     open_places |= unpaid
-    corrected, fine = _corrected(result, last, held, open_places.values(), short_term)
+    word = verdict(found, result.leftover, open_places)
     turned = tuple(term for term in added if term.name == "axis-order")  # already corrected in the fitted data
     started = as_calibration(base, strength, (*known, *turned))
-    final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
-    catalogue = among(names)
-    effects = describe(found, last, result.probabilities, open_places, unpaid)
-    word, sentence = verdict(effects, result.leftover, base.twin, catalogue)
-    applied = word in ("closed", "open")
-    effects = effects if applied else ()
-    before = measure(first.refit.twin, started, first.fine)
-    after = before
-    if any(effect.applied for effect in effects) and result.found:
-        after = measure(corrected.twin, final, fine)
-        before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+    plainly, untrusted = judged(started, base, result.recording, strength)
+    before = after = measure(first.refit.twin, started, first.fine)
+    used, effects, shifted = plainly, tuple[Effect, ...](), tuple[Moved, ...]()
+    if word in ("closed", "open"):
+        corrected, fine = _corrected(result, last, open_places.values(), short_term)
+        final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
+        if result.found and len(open_places) < len(found):
+            after = measure(corrected.twin, final, fine)
+            before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+        used, untrusted = judged(final, corrected, result.recording, strength)
+        effects = describe(found, last, corrected, used, result.probabilities, open_places, unpaid)
+        shifted = moved(plainly, used)
     untested = _untested(names, base)
     tested = hypotheses(result, names, found, word, discrete)
+    sentence = sentence_of(word, effects, result.leftover, base.twin, among(names))
     if word == "none":
         given = [] if calibration is None else [term.name for term in calibration.terms]
         if calibration is not None and calibration.delay:
             given.append("timing")
         sentence = f"{sentence}; {unseen(tested, len(untested), given)}"
-    plainly, doubts = judged(started, base, result.recording, strength)
-    used, untrusted = judged(final, corrected, result.recording, strength) if applied else (plainly, doubts)
     contradicted = () if calibration is None else against(calibration, plainly)
-    shifted = moved(plainly, used) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
     wanted = manoeuvre(tested, result.fitted.twin, found, result.leftover, open_places)
-    if applied:
-        effects = with_model_error(effects, corrected, used)
-        sentence = verdict(effects, result.leftover, base.twin, catalogue)[1]
     gap = Gap(
         verdict=word,
         sentence=contradiction(contradicted) + sentence,
@@ -145,7 +140,7 @@ def gap_of(
     return with_doubt(gap, left_open(effects, list(open_places), missing, wanted))
 
 
-def _not_worthwhile(result: Named, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
+def _not_worthwhile(result: Named, last: Refit, places: Mapping[int, int]) -> dict[int, int]:
     """Return the terms (place: index) whose correction is not worthwhile, if the field evidently varies."""
     if not places:
         return {}
@@ -153,10 +148,10 @@ def _not_worthwhile(result: Named, held: Refit, places: Mapping[int, int]) -> di
     variation = field_variation(twin)
     if not variation.evident:
         return {}
-    held, weak = widened(held), {}
+    weak = {}
     for place, index in places.items():
-        without = widened(refit(twin.problem, without_term(held.model, index), None))
-        if not pays(held, without, index, variation):
+        without = widened(refit(twin.problem, without_term(last.model, index), None))
+        if not pays(last, without, index, variation):
             weak[place] = index
     return weak
 
@@ -180,14 +175,14 @@ def _other_terms(
 
 
 def _corrected(
-    result: Named, last: Refit, held: Refit, open_places: Collection[int], short_term: SensorNoise
+    result: Named, last: Refit, open_places: Collection[int], short_term: SensorNoise
 ) -> tuple[Refit, Fine]:
     """Return the model without the terms that are not corrected, and its innovations sample by sample."""
     corrected, first, problem = last, result.first, result.fitted.twin.problem
-    if 0 < len(open_places) == len(held.model.terms) and problem is first.refit.twin.problem:
+    if 0 < len(open_places) == len(last.model.terms) and problem is first.refit.twin.problem:
         return widened(first.refit), first.fine  # no correction: the first model is unchanged
     if open_places:
-        model = held.model
+        model = last.model
         for index in sorted(open_places, reverse=True):
             model = without_term(model, index)
         corrected = widened(refit(problem, model, short_term))

@@ -16,29 +16,43 @@ from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
 
 _SPELLED = 3  # effects that a sentence names
+_FIRM = (*TERMS, "axis-order", FIELD_VARIATION)  # beside which something else may be missing
 
 
-def verdict(effects: Sequence[Effect], left: Sequence[str], twin: Twin, catalogue: str) -> tuple[Verdict, str]:
-    """Return the verdict in one word, and in one sentence for a navigator.
+def verdict(found: Sequence[Found], left: Sequence[str], uncorrected: Collection[int]) -> Verdict:
+    """Return the verdict in one word.
 
     Args:
+        found: effects that were found.
+        left: names of what is present beside them.
+        uncorrected: places in `found` of effects that are named only.
+    """
+    if left:
+        return "open" if any(one.name in _FIRM for one in found) else "unknown"
+    if not found:
+        return "none"
+    return "open" if uncorrected else "closed"
+
+
+def sentence_of(word: Verdict, effects: Sequence[Effect], left: Sequence[str], twin: Twin, catalogue: str) -> str:
+    """Return the verdict in one sentence for a navigator.
+
+    Args:
+        word: the verdict.
         effects: effects that were found.
         left: names of what is present beside them.
         twin: of the recording.
         catalogue: the set of candidates, in words.
     """
-    if not effects and not left:
-        return "none", "the model and the data agree"
+    if word == "none":
+        return "the model and the data agree"
     if left:
         where = _place(left, twin, catalogue)
-        firm = [effect.sentence for effect in effects if effect.name in (*TERMS, "axis-order", FIELD_VARIATION)]
-        if firm:
-            return "open", f"{'; '.join(firm)}; beside that, {where}"
-        return "unknown", f"{where}; nothing was changed"
+        firm = "; ".join(effect.sentence for effect in effects if effect.name in _FIRM)
+        return f"{firm}; beside that, {where}" if word == "open" else f"{where}; nothing was changed"
     # Effects that change the heading come before effects on the noise.
     ordered = sorted(effects, key=lambda effect: effect.name not in TERMS and effect.name != "axis-order")
-    word: Verdict = "closed" if all(effect.applied for effect in ordered) else "open"
-    return word, "; ".join(sentences(ordered))
+    return "; ".join(sentences(ordered))
 
 
 def among(names: Sequence[str]) -> str:
