@@ -7,13 +7,15 @@ each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm
 
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.factors.chain.facts import field_strength
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import ENTRIES, unvech, vech
 from magyc_gtsam.gap.effects import TERMS
@@ -26,6 +28,7 @@ from magyc_gtsam.gap.result import Assumption, Effect, Gap
 from magyc_gtsam.gap.rules import RULES
 
 _Row = tuple[str, float, float, float, str]
+_GROUPS = (("soft iron", ENTRIES), ("hard iron", AXES), ("gyroscope bias", AXES))
 
 
 class SimulatedGap(NamedTuple):
@@ -142,31 +145,22 @@ def _noise(measured: Refit, simulated: Refit) -> Iterator[_Row]:
 
 
 def _parameters(measured: Refit, simulated: Refit) -> Iterator[_Row]:
-    def read(of: Callable[[Array], Array]) -> tuple[Array, Array]:
-        values, variances = [], []
-        for result in (simulated, measured):
-            theta, covariance = result.model.parameters[:12], result.covariance[:12, :12]
-            at = of(theta)
-            steps = 1e-4 * np.maximum(np.abs(theta), 1e-9)
-            slope = np.stack([(of(theta + step) - at) / steps[i] for i, step in enumerate(np.diag(steps))], axis=1)
-            values.append(at)
-            variances.append(np.diag(slope @ covariance @ slope.T))
-        return np.array(values), np.sqrt(np.sum(variances, axis=0))
+    names = [f"{name} {part}" for name, parts in _GROUPS for part in parts]
+    units = ("µT", *["%"] * 6, *["µT"] * 3, *["mrad/s"] * 3)
+    (first, known), (second, more) = _shown(simulated), _shown(measured)
+    sigma = np.sqrt(known + more)
+    yield from zip(("field strength", *names), first.tolist(), second.tolist(), sigma.tolist(), units, strict=True)
 
-    def shape(theta: Array) -> Array:
-        soft = unvech(theta[:6])
-        return vech(soft / np.cbrt(abs(np.linalg.det(soft)))) * 100
 
-    groups: tuple[tuple[str, tuple[str, ...], Callable[[Array], Array], str], ...] = (
-        ("field strength", ("",), lambda t: np.array([np.cbrt(abs(np.linalg.det(unvech(t[:6]))))]) * 1e6, "µT"),
-        ("soft iron", ENTRIES, shape, "%"),
-        ("hard iron", AXES, lambda t: t[6:9] * 1e6, "µT"),
-        ("gyroscope bias", AXES, lambda t: t[9:12] * 1e3, "mrad/s"),
-    )
-    for name, parts, of, unit in groups:
-        (first, second), sigma = read(of)
-        for i, part in enumerate(parts):
-            yield f"{name} {part}".strip(), float(first[i]), float(second[i]), float(sigma[i]), unit
+def _shown(result: Refit) -> tuple[Array, Array]:
+    """Return field strength, soft iron, hard iron and bias (13,) of a model in shown units, and their variances."""
+    theta, covariance = result.model.parameters[:12], result.covariance[:12, :12]
+    strength, slope = field_strength(theta[:6])
+    soft_iron, _, of_shape = fix_scale(unvech(theta[:6]), covariance)
+    scale = np.repeat([1e6, 1e2, 1e6, 1e3], [1, 6, 3, 3])
+    value = np.concatenate([[strength], vech(soft_iron), theta[6:]])
+    variance = np.append(slope @ covariance[:6, :6] @ slope, np.diag(of_shape))
+    return scale * value, scale**2 * variance
 
 
 def _unnamed(measured: SimulatedGap, simulated: SimulatedGap) -> Iterator[_Row]:
