@@ -24,13 +24,14 @@ from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit, refit, without_term
 from magyc_gtsam.gap.naming.found import less, term_places
 from magyc_gtsam.gap.naming.named import Named
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import fine_innovations
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
 _STEP = "hard-iron-step"
 _SHARES = np.linspace(0.0, 1.0, 51)
-_WINDOW = 1.5  # s, on each side of a step: more than the longest window
+_BESIDE = 1.5 * RULES.window  # s, on each side of a step: more than the longest window
 
 
 def with_one_jump(result: Named, short_term: SensorNoise) -> Named:
@@ -96,7 +97,7 @@ def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:
     terms = [term for term in model.terms if term.name == _STEP]
     times = np.array([term.setting[end] for term in terms for end in ("time", "until") if end in term.setting])
     left_out = before.magnetic_field_fresh & ~after.magnetic_field_fresh
-    near = (np.abs(before.time[:, None] - times) < _WINDOW).any(axis=1)
+    near = (np.abs(before.time[:, None] - times) < _BESIDE).any(axis=1)
     if not (left_out & near).any():
         return True
     fine = fine_innovations(replace(before, magnetic_field_fresh=before.magnetic_field_fresh & ~near), model)

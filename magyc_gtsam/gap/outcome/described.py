@@ -75,7 +75,7 @@ def describe(
     calibration: Calibration,
     probabilities: Mapping[str, float],
     uncorrected: Container[int],
-    unpaid: Container[int] = (),
+    unpaid: Container[int],
 ) -> tuple[Effect, ...]:
     """Return the effects as values.
 

@@ -15,13 +15,14 @@ from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.outcome.agreement import GapMap, Line, Metrics, OpenLoop
 from magyc_gtsam.gap.outcome.held_out import held_out
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import Fine
 from magyc_gtsam.gap.samples.noise_effects import tone
 from magyc_gtsam.gap.samples.wrong_samples import autocorrelation
 from magyc_gtsam.metrics import heading_deviation
 from magyc_gtsam.recording import Recording
 
-HORIZON = 20.0  # s
+_HORIZON = 20.0  # s
 _BINS = 30
 _FEW = 5  # windows below which a bin is left out
 
@@ -45,7 +46,7 @@ def measure(
     v = twin.residual()
     lines: tuple[Line, ...] = ()
     if fine is not None:
-        found = tone(fine.innovation, fine.time, fine.level, 4.6, fine.edge)
+        found = tone(fine.innovation, fine.time, fine.level, -np.log(RULES.family_wise), fine.edge)
         if found.significant:
             lines = (Line(found.setting["frequency"], float(found.value[0]), found.evidence),)
     return Metrics(
@@ -59,11 +60,11 @@ def measure(
     )
 
 
-def open_loop(twin: Twin, horizon: float = HORIZON) -> OpenLoop:
-    """Predict the field `horizon` seconds ahead by the gyroscope alone, and compare it with the measured field."""
+def open_loop(twin: Twin) -> OpenLoop:
+    """Predict the field `_HORIZON` seconds ahead by the gyroscope alone, and compare it with the measured field."""
     windows, parameters = twin.chain.windows, twin.state.parameters
     g, spread = twin.predictions()
-    target = np.searchsorted(windows.time, windows.time + horizon)
+    target = np.searchsorted(windows.time, windows.time + _HORIZON)
     start = np.flatnonzero(target < twin.n)
     start = start[start > min(10, twin.n // 4)]  # the filter has not converged before
     broken = np.concatenate([[0], np.cumsum(~windows.linked)])
@@ -81,7 +82,7 @@ def open_loop(twin: Twin, horizon: float = HORIZON) -> OpenLoop:
     )
     error = windows.field[:, target] - predicted
     return OpenLoop(
-        horizon,
+        _HORIZON,
         windows.time[target],
         error.T,
         np.sqrt(np.maximum(variance, 0.0)).T,

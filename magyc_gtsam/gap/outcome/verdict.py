@@ -60,7 +60,7 @@ def among(names: Sequence[str]) -> str:
     return "in the catalogue" if set(names) == set(NAMES) else "among the candidates"
 
 
-def unseen(hypotheses: Sequence[Hypothesis], untested: int, given: Collection[str] = ()) -> str:
+def unseen(hypotheses: Sequence[Hypothesis], untested: int, given: Collection[str]) -> str:
     """Return the limits of the verdict "none": effects that are too small, or that would not have been found.
 
     Args:
