@@ -84,7 +84,6 @@ MISALIGNMENT = EffectTerm(
         "about one axis cannot distinguish it from errors of the gyroscope's scale."
     ),
     unit="mrad",
-    scale=1e3,
     matters=5e-3,
     rivals=("gyro-scale", "cubic"),
     say=_say_misalignment,
@@ -99,7 +98,6 @@ TIMING = EffectTerm(
         "sensor, and hysteresis, lag in a similar way."
     ),
     unit="ms",
-    scale=1e3,
     matters=5e-3,
     rivals=("hysteresis", "g-sensitivity", "eddy-plane", "axis-delays"),
     parameters=("delay",),
@@ -116,7 +114,6 @@ AXIS_DELAYS = EffectTerm(
         "plate lag in the same way, and delays that hardly differ are one delay."
     ),
     unit="ms",
-    scale=1e3,
     matters=5e-3,
     rivals=("timing", "eddy-plane", "hysteresis"),
     say=_say_axis_delays,
@@ -134,7 +131,6 @@ EDDY_PLANE = EffectTerm(
         "one axis."
     ),
     unit="ms",
-    scale=1e3,
     matters=8e-3,
     rivals=("timing", "hysteresis", "axis-delays"),
     say=_say_eddy,

@@ -66,7 +66,6 @@ SCALE = EffectTerm(
         "depends on the rate resemble it where the vehicle turns about few axes."
     ),
     unit="‰",
-    scale=1e3,
     matters=4e-3,
     prior=0.02,
     rivals=("misalignment", "gyro-quadratic"),
@@ -84,7 +83,6 @@ QUADRATIC = EffectTerm(
         "from a scale error."
     ),
     unit="ms/rad",
-    scale=1e3,
     matters=0.02,
     prior=0.2,  # s/rad; a bad part has 0.15
     rivals=("gyro-scale",),
@@ -102,7 +100,6 @@ TEMPERATURE = EffectTerm(
         "rises looks like a drift of the bias."
     ),
     unit="mrad/s per unit",
-    scale=1e3,
     matters=1e-3,
     rivals=("temperature-hard-iron", "gyro-bias-step", "gyro-bias-drift"),
     say=_say_temperature,
@@ -120,7 +117,6 @@ BIAS_STEP = EffectTerm(
         "temperature jumps, too."
     ),
     unit="mrad/s",
-    scale=1e3,
     matters=1e-3,
     rivals=("temperature-gyro", "gyro-bias-drift"),
     say=_say_step,
@@ -137,7 +133,6 @@ BIAS_DRIFT = EffectTerm(
         "follows the temperature."
     ),
     unit="mrad/s",
-    scale=1e3,
     matters=1e-3,
     rivals=("temperature-gyro", "gyro-bias-step"),
     say=_say_drift,
@@ -153,7 +148,6 @@ G_SENSITIVITY = EffectTerm(
         "in step with the turn it resembles a delay."
     ),
     unit="mrad/s/g",
-    scale=1e3,
     matters=5e-3,
     rivals=("timing", "gyro-scale"),
     parameters=tuple(f"{a}{b}" for b in AXES for a in AXES),

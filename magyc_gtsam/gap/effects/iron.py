@@ -152,7 +152,6 @@ MOTOR_CURRENT = EffectTerm(
         "current. A load that is switched once looks like a jump."
     ),
     unit="µT per unit",
-    scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
     rivals=("hard-iron-step", "hard-iron-drift", "current-squared", "load-soft-iron"),
@@ -171,7 +170,6 @@ SQUARED = EffectTerm(
         "power only does not show the difference to the current's own field."
     ),
     unit="µT per unit²",
-    scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
     rivals=("motor-current", "load-soft-iron", "hard-iron-step"),
@@ -190,7 +188,6 @@ TEMPERATURE = EffectTerm(
         "another one. A temperature that only rises looks like a drift."
     ),
     unit="µT per unit",
-    scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
     rivals=("hard-iron-drift", "hard-iron-step", "temperature-gain"),
@@ -209,7 +206,6 @@ STEP = EffectTerm(
         "object explains as much."
     ),
     unit="µT",
-    scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
     rivals=("hard-iron-drift", "temperature-hard-iron", "motor-current", "local-anomaly", "soft-iron-step"),
@@ -229,7 +225,6 @@ DRIFT = EffectTerm(
         "thermometer it includes what follows the temperature."
     ),
     unit="µT",
-    scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
     rivals=("temperature-hard-iron", "hard-iron-step"),

@@ -90,7 +90,6 @@ SATURATION = EffectTerm(
         "also bends the largest readings, but the others as well."
     ),
     unit="of what is beyond the level",
-    scale=1.0,
     matters=0.3,
     prior=1.0,  # all of what is beyond the level
     rivals=("cubic",),
@@ -110,7 +109,6 @@ CUBIC = EffectTerm(
         "of scale and angle resemble it."
     ),
     unit="µT at 50 µT",
-    scale=1e6,
     matters=0.5e-6,
     prior=30e-6,
     rivals=("saturation", "misalignment", "gyro-scale"),
@@ -126,7 +124,6 @@ HYSTERESIS = EffectTerm(
         "does, but by the same amount in slow turns and in fast ones."
     ),
     unit="µT",
-    scale=1e6,
     matters=0.3e-6,
     prior=1e-3,
     rivals=("timing", "eddy-plane"),

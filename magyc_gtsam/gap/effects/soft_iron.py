@@ -34,7 +34,6 @@ TEMPERATURE_GAIN = EffectTerm(
         "hard iron. Where the hard iron is large, one that depends on temperature looks the same."
     ),
     unit="% per unit",
-    scale=1e2,
     matters=6e-3,
     rivals=("temperature-hard-iron",),
     say=_say_gain,
@@ -51,7 +50,6 @@ LOAD = EffectTerm(
         "heading this looks like the current's own field."
     ),
     unit="% per unit",
-    scale=1e2,
     matters=6e-3,
     rivals=("motor-current", "current-squared"),
     parameters=ENTRIES,
@@ -68,7 +66,6 @@ STEP = EffectTerm(
         "a jump of the hard iron."
     ),
     unit="%",
-    scale=1e2,
     matters=6e-3,
     rivals=("hard-iron-step",),
     parameters=ENTRIES,

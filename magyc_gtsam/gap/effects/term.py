@@ -38,7 +38,7 @@ class EffectTerm:
         name: row of the catalogue and of `factors.effects.FORMS`.
         label: the name in words.
         physics: what causes it, how it acts on the readings, and what resembles it, in three sentences.
-        unit, scale: shown value = SI value · scale, in `unit`.
+        unit: of shown values; its prefix is the only factor between them and SI values.
         matters: the smallest value that matters, SI. For a value per unit of a channel, the effect of a change of the
             channel by its standard deviation in the recording.
         rivals: names with which it is known to be confused.
@@ -61,7 +61,6 @@ class EffectTerm:
     label: str
     physics: str
     unit: str
-    scale: float
     matters: float
     rivals: tuple[str, ...]
     say: Say
@@ -76,6 +75,11 @@ class EffectTerm:
     possible: Callable[[Twin, Array, Setting], bool] = lambda twin, value, setting: True
     power: int = 1
     products: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """Return the shown value per SI value."""
+        return {"%": 1e2, "‰": 1e3, "m": 1e3, "µ": 1e6}.get(self.unit[0], 1.0)
 
     @property
     def form(self) -> Form:

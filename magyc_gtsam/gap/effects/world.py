@@ -72,7 +72,6 @@ GRADIENT = EffectTerm(
         "headings shows that it is not the attitude."
     ),
     unit="% per unit",
-    scale=1e2,
     matters=6e-3,
     rivals=("eddy-plane",),
     parameters=("gradient",),
@@ -89,7 +88,6 @@ ANOMALY = EffectTerm(
         "the vehicle does not turn meanwhile, it looks like two jumps of the hard iron."
     ),
     unit="µT",
-    scale=1e6,
     matters=0.5e-6,
     prior=1e-3,
     rivals=("hard-iron-step", "hard-iron-drift"),
