@@ -19,7 +19,7 @@ from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import determined, refit, with_term
-from magyc_gtsam.gap.naming.found import Found, term_places
+from magyc_gtsam.gap.naming.named import Found, term_places
 from magyc_gtsam.gap.outcome.described import sentences
 from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.samples.fine import NOISE_LIMIT

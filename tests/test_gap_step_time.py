@@ -11,8 +11,7 @@ from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import refit, with_term
-from magyc_gtsam.gap.naming.found import Found
-from magyc_gtsam.gap.naming.named import Named
+from magyc_gtsam.gap.naming.named import Found, Named
 from magyc_gtsam.gap.naming.steps import with_one_jump
 from magyc_gtsam.gap.samples.fine import First
 

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
@@ -25,14 +27,31 @@ from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.naming.found import Found, as_found
-from magyc_gtsam.gap.preparation.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.samples.fine import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
+
+CLOCK_DRIFT = "clock-drift"  # of the two sensors: not an effect of the catalogue, but detected and reported
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An effect that is named.
+
+    Attributes:
+        name: of the catalogue.
+        statistic: Wald statistic of its values; of an effect on the noise, that of its test.
+        rivals: names that this motion cannot distinguish from it.
+        noise: its test, if it is an effect on the noise.
+    """
+
+    name: str
+    statistic: float
+    rivals: tuple[str, ...] = ()
+    noise: NoiseScore | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +63,7 @@ class Named:
         first: the model without effects, on the recording with all its samples.
         tree: of the fitted sets.
         fitted: the model with the effects.
-        found: the effects; those that are terms in the order of the model's (`found.term_places`).
+        found: the effects; those that are terms in the order of the model's (`term_places`).
         leftover: names of what else is present: the most probable family without a physical meaning, and drifting
             clocks.
         probabilities: the posterior's, of all names.
@@ -57,6 +76,18 @@ class Named:
     found: tuple[Found, ...]
     leftover: tuple[str, ...]
     probabilities: Mapping[str, float]
+
+
+def as_found(score: NoiseScore, rivals: tuple[str, ...] = ()) -> Found:
+    """Return an effect on the noise, or the variation of the field, as an effect that was found."""
+    return Found(score.name, score.statistic, rivals, noise=score)
+
+
+def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:
+    """Return {place in `found`: place among the model's terms}, in order; terms of a given model come before them."""
+    of_terms = [place for place, f in enumerate(found) if f.name in TERMS]
+    given = len(model.terms) - len(of_terms)
+    return {place: given + index for index, place in enumerate(of_terms)}
 
 
 def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
@@ -79,7 +110,7 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     ]
     there = {one.name: rivals.get(one.name, ()) for one in found}
     left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
-    if drift_apart(fitted) or (left and "timing" not in rivals and drift_apart(_best(said.tree, short_term))):
+    if _drift_apart(fitted) or (left and "timing" not in rivals and _drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
     return Named(said.recording, first, said.tree, fitted, tuple(found), left, stated)
 
@@ -210,3 +241,13 @@ def _family(tree: Tree) -> tuple[str, ...]:
     """Return the most probable family, by which what has no name is described."""
     families = [one for one in tree.best.found.values() if one.name not in TERMS and product_of(one.name) is None]
     return tuple(one.name for one in sorted(families, key=lambda one: -one.log)[:1])
+
+
+def _drift_apart(current: Refit) -> bool:
+    """Return whether the delay of a model grows with time, by the test of `smoother`."""
+    twin = current.twin
+    if not twin.model.free[DELAY]:
+        return False
+    return drift_is_significant(
+        Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
+    )

@@ -22,8 +22,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit, refit, without_term
-from magyc_gtsam.gap.naming.found import less, term_places
-from magyc_gtsam.gap.naming.named import Named
+from magyc_gtsam.gap.naming.named import Named, term_places
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import fine_innovations
 from magyc_gtsam.gap.samples.wrong_samples import spikes
@@ -58,7 +57,7 @@ def with_one_jump(result: Named, short_term: SensorNoise) -> Named:
         ahead = refit(problem_of(recording), without_term(model, second), short_term)
         if not ahead.converged:
             continue
-        found = less(result.found, {places[second]})
+        found = tuple(one for place, one in enumerate(result.found) if place != places[second])
         again = replace(result, recording=recording, fitted=ahead, found=found)
         return with_one_jump(again, short_term)
     return result
@@ -87,9 +86,9 @@ def without_samples_of_steps(recording: Recording, result: Named) -> Named:
     """Return the named effects without spikes that are samples of a step; `recording`: with all its samples."""
     if _has_spikes(recording, result.recording, result.fitted.model):
         return result
-    spiky = {place for place, one in enumerate(result.found) if one.name == "spikes"}
+    found = tuple(one for one in result.found if one.name != "spikes")
     probabilities = {name: each for name, each in result.probabilities.items() if name != "spikes"}
-    return replace(result, found=less(result.found, spiky), probabilities=probabilities)
+    return replace(result, found=found, probabilities=probabilities)
 
 
 def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:

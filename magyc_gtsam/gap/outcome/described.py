@@ -11,7 +11,7 @@ from magyc_gtsam.estimators.smoother.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
-from magyc_gtsam.gap.naming.found import Found, term_places
+from magyc_gtsam.gap.naming.named import Found, term_places
 from magyc_gtsam.gap.outcome.step_time import step_time_sigmas
 from magyc_gtsam.gap.result import Effect
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore

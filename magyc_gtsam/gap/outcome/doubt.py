@@ -12,6 +12,8 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 
 _LOG_MORE = "log current, temperature and depth"
+APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"
+APART_IN_BRIEF = Doubt("the clocks of the two sensors drift apart", "run `mg.calibrate`, which follows the drift")
 _WITHOUT = "choose an interval without the jumps (start=, end=)"
 
 

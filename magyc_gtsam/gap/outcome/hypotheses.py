@@ -13,8 +13,7 @@ from magyc_gtsam.gap.evidence.detectable import ENOUGH, power_of
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed
-from magyc_gtsam.gap.naming.found import Found
-from magyc_gtsam.gap.naming.named import Named
+from magyc_gtsam.gap.naming.named import Found, Named
 from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore

@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.outcome.agreement import GapMap, Line, Metrics, OpenLoop
-from magyc_gtsam.gap.outcome.held_out import held_out
+from magyc_gtsam.gap.outcome.worth import interleaved
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import Fine
 from magyc_gtsam.gap.samples.noise_effects import tone
@@ -58,6 +58,27 @@ def measure(
         noise=dict(calibration.noise),
         maps=maps(twin, v),
     )
+
+
+def held_out(twin: Twin, innovation: Array, base: Array, variation: FieldVariation | None) -> float:
+    """Return the log-likelihood per window (nats) on blocks that were not fitted, of what has columns (q, 3n).
+
+    A variation of the field is whitened; its determinant, which all models share, is left out.
+    """
+    block = interleaved(twin.time, RULES.block)
+    flat = innovation.ravel()
+    if variation is not None:
+        flat, base = variation.whiten(flat[None])[0], variation.whiten(base)
+    size = np.maximum(np.linalg.norm(base, axis=1), 1e-300)[:, None]
+    square = 0.0
+    for fold in (0, 1):
+        train, test = block != fold, block == fold
+        solution = np.linalg.lstsq((base[:, train] / size).T, flat[train], rcond=1e-8)[0]
+        error = flat[test] - solution @ (base[:, test] / size)
+        square += float(error @ error)
+    sigma = twin.chain.window_sigma * 1e6  # density per µT³, for a number of readable size
+    constant = 1.5 * np.log(2 * np.pi) + 3 * np.log(sigma) + 0.5 * twin.log_determinant()
+    return -float(constant[1:].mean()) - 0.5 * square / twin.n
 
 
 def open_loop(twin: Twin) -> OpenLoop:

@@ -14,18 +14,16 @@ from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
-from magyc_gtsam.gap.naming.found import Found, as_found, term_places
-from magyc_gtsam.gap.naming.named import Named
+from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found, Named, as_found, term_places
 from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
 from magyc_gtsam.gap.outcome.described import describe
-from magyc_gtsam.gap.outcome.doubt import doubted, left_open, remedy, with_doubt
+from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
 from magyc_gtsam.gap.outcome.moved import against, contradiction, moved
 from magyc_gtsam.gap.outcome.verdict import among, manoeuvre, place_of, sentence_of, unseen, verdict
 from magyc_gtsam.gap.outcome.worth import pays
-from magyc_gtsam.gap.preparation.clocks import APART_IN_BRIEF, CLOCK_DRIFT
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Moved, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore

@@ -9,9 +9,9 @@ from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import label_of, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.naming.found import Found
+from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES, sentences
-from magyc_gtsam.gap.preparation.clocks import APART, CLOCK_DRIFT
+from magyc_gtsam.gap.outcome.doubt import APART
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
 

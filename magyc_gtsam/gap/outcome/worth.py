@@ -14,7 +14,6 @@ from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.outcome.held_out import held_out_gain, interleaved
 from magyc_gtsam.gap.rules import RULES
 
 
@@ -84,3 +83,34 @@ def _field_columns(twin: Twin) -> Array:
     """Return the columns (q, 3, n) of the free parameters, then of the terms, on the windows, T per unit."""
     base = twin.reduced.on_parameters[np.flatnonzero(twin.model.free)] / twin.chain.window_scale
     return np.concatenate([base, *(twin.columns(t.name, t.setting).window for t in twin.model.estimated)])
+
+
+def held_out_gain(base: Array, columns: Array, residual: Array, block: Array) -> float:
+    """Return the gain in log-likelihood (nats) of adding columns, on blocks of rows that were not fitted.
+
+    Args:
+        base: (q, rows) whitened.
+        columns: (k, rows) whitened.
+        residual: (rows,) whitened.
+        block: (rows,) 0 or 1.
+    """
+    gain = 0.0
+    design = np.concatenate([base, columns])
+    size = np.maximum(np.sqrt(np.einsum("pn,pn->p", design, design)), 1e-300)[:, None]
+    design = design / size
+    for fold in (0, 1):
+        train, test = block != fold, block == fold
+        seen = design[:, train]
+        normal, score = seen @ seen.T, seen @ residual[train]
+        normal[np.diag_indices_from(normal)] += 1e-9
+        errors = []
+        for count in (len(base), len(design)):
+            solution = np.linalg.solve(normal[:count, :count], score[:count])
+            errors.append(residual[test] - solution @ design[:count, test])
+        gain += 0.5 * float(errors[0] @ errors[0] - errors[1] @ errors[1])
+    return gain
+
+
+def interleaved(time: Array, length: float) -> Array:
+    """Return alternately 0 and 1 (3n,) in blocks of `length` s, for innovations stacked axis by axis."""
+    return np.tile(np.floor((time - time[0]) / length).astype(int) % 2, 3)
