@@ -101,13 +101,13 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping
     status: Status
     if noise.name in named:
         status, words = "named", "named"
+    elif noise.significant and named:
+        status, words = "explained", "significant until the effects above were added"
     elif noise.significant:
-        status, words = (
-            ("explained", "significant until the effects above were added") if named else ("significant",) * 2
-        )
+        status, words = "significant", "significant"
     else:
-        of_form = "not significant" if noise.statistic < noise.threshold else "strong, but not of its form"
-        status, words = "rejected", of_form
+        strong = noise.statistic >= noise.threshold
+        status, words = "rejected", "strong, but not of its form" if strong else "not significant"
     return Hypothesis(
         name=noise.name,
         label=LABELS[noise.name],

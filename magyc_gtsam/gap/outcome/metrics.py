@@ -150,9 +150,8 @@ def maps(twin: Twin, innovation: Array) -> tuple[GapMap, ...]:
         over.append(("heading", "°", heading))
         over.append(("pitch", "°", np.rad2deg(np.arcsin(np.clip(-down[0], -1, 1)))))
     over.append(("rate", "rad/s", np.linalg.norm(signals.need("rate"), axis=0)))
-    for kind, unit in (("temperature", "unit of the channel"), ("current", "unit of the channel")):
-        if kind in signals.channels:
-            over.append((kind, unit, signals.channels[kind][0]))
+    known = (kind for kind in ("temperature", "current") if kind in signals.channels)
+    over += [(kind, "unit of the channel", signals.channels[kind][0]) for kind in known]
     reading = field + twin.state.parameters[6:9, None]
     over.append(("field strength", "µT", np.linalg.norm(reading, axis=0) * 1e6))
     result = [_binned(name, unit, value, square) for name, unit, value in over]

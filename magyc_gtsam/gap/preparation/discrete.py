@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.preparation.held_clock import on_own_clock
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.noise_effects import COUNTED, NoiseScore, lattice, sample_hold
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, lattice, sample_hold
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.held import with_chance_repeats
 
@@ -48,17 +48,8 @@ def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
         assert recording.angular_rate is not None
         turned = replace(recording, angular_rate=recording.angular_rate @ best.matrix.T)
         explained = 1 - best.unexplained
-        score = NoiseScore(
-            "axis-order",
-            explained,
-            0.5,
-            COUNTED,
-            True,
-            best.matrix.ravel(),
-            np.zeros(9),
-            {"explained": explained},
-        )
-        return turned, [score]
+        setting = {"explained": explained}
+        return turned, [NoiseScore.counted("axis-order", explained, 0.5, True, best.matrix.ravel(), setting)]
     return recording, []
 
 

@@ -57,6 +57,13 @@ class NoiseScore:
         """Return the unit in which its values are shown, and the factor from SI; rows and axes have none."""
         return ("", 1.0) if self.name in ("sample-hold", "axis-order") else ("µT", 1e6)
 
+    @classmethod
+    def counted(
+        cls, name: str, statistic: float, threshold: float, there: bool, value: Array, setting: Mapping[str, float]
+    ) -> NoiseScore:
+        """Return the test of an effect that is counted, not estimated: it is certainly there, or not there."""
+        return cls(name, statistic, threshold, COUNTED * there, there, value, np.zeros(len(value)), setting)
+
 
 def tone(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
     """Test for a line in the spectrum of innovations.
@@ -197,16 +204,8 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
     steps = np.array([lattice(axis) for axis in value.T])
     step = float(steps.max())
     ratio = step / max(noise, 1e-15)
-    return NoiseScore(
-        "quantisation",
-        ratio,
-        RULES.coarse,
-        COUNTED * (ratio > RULES.coarse),
-        ratio > RULES.coarse,
-        np.array([step]),
-        np.array([0.0]),
-        {"ratio": ratio},
-    )
+    coarse, setting = ratio > RULES.coarse, {"ratio": ratio}
+    return NoiseScore.counted("quantisation", ratio, RULES.coarse, coarse, np.array([step]), setting)
 
 
 def lattice(values: Array) -> float:
@@ -225,13 +224,5 @@ def sample_hold(recording: Recording) -> NoiseScore:
     """Test for entries of the magnetometer's log that exactly repeat the one before them (`recording.held`)."""
     repeats, fresh = RepeatedEntries.of(recording), recording.magnetic_field_fresh.sum()
     rows = recording.magnetic_field_stamped.sum() / max(int(fresh), 1)
-    return NoiseScore(
-        "sample-hold",
-        repeats.share,
-        HELD,
-        COUNTED * repeats.held,
-        repeats.held,
-        np.array([rows]),
-        np.array([0.0]),
-        {"share": repeats.share},
-    )
+    value, setting = np.array([rows]), {"share": repeats.share}
+    return NoiseScore.counted("sample-hold", repeats.share, HELD, repeats.held, value, setting)
