@@ -64,7 +64,7 @@ class WeighedOverLogs:
 
 
 def weigh(name: str, logs: Sequence[Tests]) -> WeighedOverLogs:
-    """Return the evidence of an effect in both cases."""
+    """Return the evidence, in both cases, of an effect that some of the logs can show."""
     of_log = [log.get(name, ()) for log in logs]
     best = tuple(max(tests, key=lambda test: float(test.nats.max()), default=None) for tests in of_log)
     apart, present, _ = mixture(_by_kind(name, of_log))
@@ -86,7 +86,7 @@ def _shared(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Mapping
     for tests in of_log:
         for key, test in {test.key: test for test in tests}.items():
             keyed.setdefault((key, len(test.score)), []).append(test)
-    most = max(map(len, keyed.values()), default=0)
+    most = max(map(len, keyed.values()))
     together = []
     for tests in keyed.values():
         if len(tests) < most:  # a setting that only some logs allow
@@ -95,8 +95,6 @@ def _shared(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Mapping
         score = np.sum([test.score for test in tests], axis=0)
         unit = np.exp(np.mean([np.log(test.unit) for test in tests], axis=0))
         together.append(Test.of(name, tests[0].setting, information, score, unit))
-    if not together:
-        return -np.inf, {}, np.zeros(0)
     table = np.array([test.nats for test in together])
     best = together[int(table.max(axis=1).argmax())]
     return float(logsumexp(table) - np.log(table.size)), best.setting, best.value
@@ -123,8 +121,8 @@ def _by_kind(name: str, of_log: Sequence[Sequence[Test]]) -> Array:
     The grid points of a jump or a passed object are of several kinds (a lasting jump, for example, or something that is
     attached and taken off); all logs have the same kind.
     """
-    kinds = sorted({_kind(name, test) for tests in of_log for test in tests}) or [()]
-    scales = next((len(test.nats) for tests in of_log for test in tests), 1)
+    kinds = sorted({_kind(name, test) for tests in of_log for test in tests})
+    scales = next(len(test.nats) for tests in of_log for test in tests)
     result = np.zeros((len(kinds), scales, len(of_log)))
     for i, kind in enumerate(kinds):
         for k, tests in enumerate(of_log):
