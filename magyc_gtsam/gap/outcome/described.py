@@ -96,12 +96,11 @@ def describe(
         if one.noise is None:
             index, term = indices[place], TERMS[one.name]
             value, covariance = refitted.value_of(index)
-            sigma, setting = np.sqrt(np.diag(covariance)), dict(refitted.model.terms[index].setting)
+            sigma = terms[place].sigma if place in terms else np.sqrt(np.diag(covariance))
+            setting = dict(refitted.model.terms[index].setting)
             if index in times:
                 setting["time_sigma"] = times[index]
             rows = term.rows(refitted.twin, setting)
-            if place in terms:
-                sigma = terms[place].sigma
             unit, scale, parameters = term.unit, term.scale, term.names(len(value), rows)
             sentence = term.sentence(value * scale, sigma * scale, setting, rows)
         else:
