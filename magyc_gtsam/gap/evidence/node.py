@@ -12,6 +12,7 @@ from magyc_gtsam.gap.effects import TERMS, nested
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates
 from magyc_gtsam.gap.evidence.laplace import Explained, Terms
+from magyc_gtsam.gap.evidence.look import Look
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
 from magyc_gtsam.gap.model.field_variation import FieldVariation
@@ -38,9 +39,8 @@ class Node:
         of_terms: what each of its terms explains.
         scales: (t,) the most probable scale of each term's values.
         beside: the marginalised set, beside which candidates are tested.
-        found: the candidates tested beside it.
+        candidates: of the tree.
         moving: nats of a variation like that of the field, but in the sensor's axes: of an unknown effect.
-        refined: names whose most probable setting was refined on a finer grid.
     """
 
     names: tuple[str, ...]
@@ -53,14 +53,27 @@ class Node:
     of_terms: Explained
     scales: Array
     beside: Beside
-    found: dict[str, Weighed] = field(default_factory=dict)
+    candidates: Candidates
     moving: list[float] = field(default_factory=list)
-    refined: set[str] = field(default_factory=set)
 
     @property
     def key(self) -> tuple[str, ...]:
         """Return the names, sorted."""
         return tuple(sorted(self.names))
+
+    @cached_property
+    def _look(self) -> Look:
+        return Look.of(self.candidates, self.fit.twin, self.beside, self.named, self.names)
+
+    @property
+    def found(self) -> dict[str, Weighed]:
+        """Return the candidates, tested beside the set at the first use: a set that is given up needs none."""
+        return self._look.found
+
+    @property
+    def refined(self) -> frozenset[str]:
+        """Return the names whose most probable setting was refined on a finer grid."""
+        return self._look.refined
 
     @cached_property
     def kept(self) -> list[int]:
@@ -144,10 +157,10 @@ class Node:
         information = columns @ columns.T + np.eye(len(columns))
         return float(own @ own), float(signal @ np.linalg.solve(information, signal))
 
-    def replaceable(self, index: int, candidates: Candidates) -> bool:
+    def replaceable(self, index: int) -> bool:
         """Return whether a rival of a term explains at least half of what the term does beside the others."""
         name = self.fit.model.terms[index].name
-        rivals = candidates.only(lambda each: each in TERMS and each != name and related(each, name))
+        rivals = self.candidates.only(lambda each: each in TERMS and each != name and related(each, name))
         half = 0.5 * (self.of_terms.nats[index] + PRIOR.named)
         return any(each.log + PRIOR.named > half for each in weigh(rivals, self.beside_without(index)).values())
 

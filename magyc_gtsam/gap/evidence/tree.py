@@ -15,13 +15,12 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Candidates, at_settings, with_each_drift
+from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, with_each_drift
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
-from magyc_gtsam.gap.evidence.neighbours import neighbours
+from magyc_gtsam.gap.evidence.look import finer
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
-from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
+from magyc_gtsam.gap.evidence.weighing import Weighed, best_of
 from magyc_gtsam.gap.model.field_variation import COLOURS, COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term, without_term
@@ -31,7 +30,6 @@ from magyc_gtsam.gap.rules import RULES
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
 _COLOURED = float(np.log(COLOURS))  # the same for that of coloured noise
 _MORE_MODES = float(np.log(RULES.drift_finer))
-_FINER = 2  # rounds of refining a setting
 _BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 
 
@@ -120,7 +118,7 @@ class Tree:
         """
         best = self.best
         for index, term in enumerate(best.fit.model.terms):
-            if not best.replaceable(index, self.candidates):
+            if not best.replaceable(index):
                 continue
             node = self.less(best, index)
             half = 0.5 * (best.log - node.log)
@@ -210,7 +208,7 @@ class Tree:
     def _child(self, node: Node, option: Weighed) -> Node | None:
         term, setting = TERMS[option.name], dict(option.setting)
         if option.name not in node.refined:
-            setting = dict(self._finer(node, option).setting)
+            setting = dict(finer(option, node.fit.twin, node.beside, node.named).setting)
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
         names, search = (*node.names, option.name), node.search + option.search
@@ -241,7 +239,7 @@ class Tree:
         log -= self.freedom * np.log(plain.noise) + (_VARIES if variation is not None else 0.0)
         log -= _COLOURED if COLOUR in names else 0.0
         beside = terms.added_to(plain, scales)
-        node = Node(
+        return Node(
             names,
             fit,
             variation,
@@ -252,44 +250,8 @@ class Tree:
             of_terms,
             scales,
             beside,
+            self.candidates,
         )
-        node.found.update(self._found(node))
-        return node
-
-    def _finer(self, node: Node, option: Weighed) -> Weighed:
-        """Return a candidate with the cell of its most probable setting averaged over a finer grid, if it has one.
-
-        The time of a jump is determined to a fraction of the grid's spacing; between two grid points most of its
-        evidence would be missed. For an object attached and taken off, the two times are refined in turn.
-        """
-        twin = node.fit.twin
-        for _ in range(_FINER):
-            near = TERMS[option.name].refined(twin, dict(option.setting))
-            if not near:
-                break
-            finer = Candidates.of_parts(twin, [at_settings(twin, option.name, near)])
-            option, before = option.with_cell(weigh(finer, node.beside, node.named)[option.name]), option
-            if option.setting == before.setting or "until" not in option.setting:
-                break
-        return option
-
-    def _found(self, node: Node) -> dict[str, Weighed]:
-        twin = node.fit.twin
-        found = weigh(self.candidates, node.beside, node.named)
-        for each in best_of(found, PRIOR.beam):
-            found[each.name] = self._finer(node, each)
-            node.refined.add(each.name)
-        # A product with another signal may be present beside its effect, and instead of a probable one: it is tested at
-        # the setting of that effect, with the same penalty for the grid search.
-        likely = [(each.name, each.setting, each.search) for each in best_of(found, PRIOR.beam) if each.log > 0]
-        likely += [(term.name, term.setting, 0.0) for term in node.fit.model.terms]
-        products = {f.name: (f, cost) for name, at, cost in likely for f in neighbours(name, at)}
-        if products:
-            made = weigh(Candidates.of(twin, (), [f for f, _ in products.values()]), node.beside, node.named)
-            found |= {name: each.less(products[name][1]) for name, each in made.items()}
-        if DRIFT not in node.names:
-            found |= one_way(self.candidates, node.beside, node.named)
-        return found
 
 
 def _variation(names: Sequence[str], fit: Refit) -> FieldVariation | None:

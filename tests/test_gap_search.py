@@ -1,0 +1,45 @@
+"""What the search for the most probable set of effects leaves out: it finds the same with less."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import PchipInterpolator
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.gap.evidence import node as nodes
+from magyc_gtsam.gap.evidence.candidates import DRIFT
+from magyc_gtsam.gap.evidence.look import Look
+from magyc_gtsam.gap.evidence.tree import Tree
+from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.model.refit import Refit
+
+
+def base_of(recording: mg.Recording) -> Refit:
+    return base_model(recording, None, short_term_noise(recording))
+
+
+def drifting() -> mg.Recording:
+    """A slow walk of the hard iron, and a delay."""
+    base = mg.simulate("wide", 120, seed=9, delay=0.3).recording
+    walk = np.random.default_rng(9).standard_normal((9, 3)).cumsum(axis=0)
+    drift = 1e-6 * PchipInterpolator(np.arange(9) * 16.0, walk)(base.time - base.time[0])
+    return replace(base, magnetic_field=base.magnetic_field + drift)
+
+
+def test_only_sets_that_are_kept_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a drift a number of modes that is less probable than another one needs no look at all candidates."""
+    looks: list[Look] = []
+
+    class Counted:
+        @staticmethod
+        def of(*given: object) -> Look:
+            looks.append(Look.of(*given))  # type: ignore[arg-type]
+            return looks[-1]
+
+    monkeypatch.setattr(nodes, "Look", Counted)
+    tree = Tree(base_of(drifting()), (DRIFT, "timing"))
+    assert len(looks) == len(tree.nodes)
