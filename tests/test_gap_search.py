@@ -14,6 +14,7 @@ from magyc_gtsam.gap.evidence import node as nodes
 from magyc_gtsam.gap.evidence.candidates import DRIFT
 from magyc_gtsam.gap.evidence.look import Look
 from magyc_gtsam.gap.evidence.tree import Tree
+from magyc_gtsam.gap.model import field_variation as variations
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.refit import Refit
 
@@ -43,3 +44,20 @@ def test_only_sets_that_are_kept_are_looked_at(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(nodes, "Look", Counted)
     tree = Tree(base_of(drifting()), (DRIFT, "timing"))
     assert len(looks) == len(tree.nodes)
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+@pytest.mark.parametrize("in_world", [False, True])
+def test_the_climb_over_amplitudes_ends_where_the_whole_grid_does(
+    monkeypatch: pytest.MonkeyPatch, in_world: bool, coloured: bool
+) -> None:
+    twin = base_of(drifting()).twin
+    climbed = variations.field_variation(twin, in_world, coloured)
+    count = len(variations._AMPLITUDES)
+    monkeypatch.setattr(
+        variations, "_climbed", lambda log_of, _, courses: max(range(1 + courses * count), key=log_of)
+    )
+    whole = variations.field_variation(twin, in_world, coloured)
+    assert climbed.gain == pytest.approx(whole.gain)
+    assert (climbed.along, climbed.attitude, climbed.period) == (whole.along, whole.attitude, whole.period)
+    assert (climbed.colour, climbed.colour_period) == (whole.colour, whole.colour_period)

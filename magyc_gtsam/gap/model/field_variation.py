@@ -13,9 +13,9 @@ which is maximised over a grid of amplitudes (restricted maximum likelihood).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -116,14 +116,17 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         return np.concatenate([*own, colours[colour]] if coloured else own)
 
     @cache  # the second sweep evaluates many of the same points
+    def known(point: tuple[int, int, int]) -> float:
+        return search.log(deviations(*point))[0]
+
     def log_of(shape: int, share: int, colour: int) -> float:
-        return search.log(deviations(shape, share, colour))[0]
+        return known((shape, share, colour))
 
     shape, share, colour = len(shapes) // 2, 1, len(colours) // 2 if coloured else 0
     for _ in range(_SWEEPS):
-        shape = _best([log_of(i, share, colour) for i in range(len(shapes))])
-        share = _best([log_of(shape, i, colour) for i in range(len(_SHARES))])
-        colour = _best([log_of(shape, share, i) for i in range(len(colours))]) if coloured else 0
+        shape = _climbed(partial(log_of, share=share, colour=colour), shape, len(courses))
+        share = int(np.argmax([log_of(shape, i, colour) for i in range(len(_SHARES))]))
+        colour = _climbed(partial(log_of, shape, share), colour, len(fast)) if coloured else 0
     chosen = deviations(shape, share, colour)
     log, noise = search.log(chosen)
     constant, _ = search.log(np.zeros(len(raw)), fixed=True)
@@ -158,8 +161,20 @@ def waves(time: Array) -> tuple[Array, Array]:
     return cosines, np.sqrt(power / power.sum(axis=1, keepdims=True))
 
 
-def _best(logs: Sequence[float]) -> int:
-    return int(np.argmax(logs))
+def _climbed(log_of: Callable[[int], float], start: int, courses: int) -> int:
+    """Return the most probable place of 0, no variation, and 1 + courses · amplitude + course.
+
+    The evidence of a course has one maximum over its amplitude, which is climbed from the one of the course before.
+    """
+    amplitude, found = max(start - 1, 0) // courses, [0]
+    for course in range(courses):
+        place, before = 1 + courses * amplitude + course, -1
+        while place != before:
+            near = (place, place - courses, place + courses)
+            before, place = place, max((i for i in near if 0 < i <= courses * len(_AMPLITUDES)), key=log_of)
+        amplitude = (place - 1) // courses
+        found.append(place)
+    return max(found, key=log_of)
 
 
 class _Search:
