@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.evidence import node as nodes
 from magyc_gtsam.gap.evidence.candidates import DRIFT
 from magyc_gtsam.gap.evidence.look import Look
+from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model import field_variation as variations
 from magyc_gtsam.gap.model.base import base_model
@@ -29,6 +30,23 @@ def drifting() -> mg.Recording:
     walk = np.random.default_rng(9).standard_normal((9, 3)).cumsum(axis=0)
     drift = 1e-6 * PchipInterpolator(np.arange(9) * 16.0, walk)(base.time - base.time[0])
     return replace(base, magnetic_field=base.magnetic_field + drift)
+
+
+def test_an_exchange_without_a_rival_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The set that it would have fitted counts towards the most sets, as if it had been."""
+    recording = mg.simulate("wide", 120, seed=9, effects=[("timing", 2.0)]).recording
+    tree = Tree(base_of(recording), ("timing", "axis-delays", "eddy-plane"))
+    assert tree.best.names == ("timing",)
+    monkeypatch.setattr(Node, "replaceable", lambda self, index: True)
+    tried: list[int] = []
+    monkeypatch.setattr(Tree, "less", lambda self, node, index: tried.append(index) or tree.nodes[()])
+    tree._unrivalled.add(("timing", ()))
+    assert not tree._exchanged()
+    assert not tried
+    assert tree._spared == {()}
+    tree._unrivalled.clear()
+    assert not tree._exchanged()
+    assert tried == [0]
 
 
 def test_only_sets_that_are_kept_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:

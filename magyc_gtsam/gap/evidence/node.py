@@ -172,6 +172,12 @@ class Node:
         """Return the key of the set with one more name."""
         return tuple(sorted((*self.names, name)))
 
+    def key_without(self, name: str) -> tuple[str, ...]:
+        """Return the key of the set with one name less."""
+        names = list(self.names)
+        names.remove(name)
+        return tuple(sorted(names))
+
     def full(self, name: str) -> bool:
         """Return whether the set contains an effect as often as it may, or a special or a general case of it."""
         return self.names.count(name) >= TERMS[name].most or any(nested(name, other) for other in self.names)

@@ -57,6 +57,9 @@ class Tree:
         # Without a possible fit.
         self.refused: set[tuple[str, ...]] = set() if before is None else set(before.refused)
         again = () if before is None else self._again(root, before.near)
+        # Terms, name and setting, that are not exchanged again, and the sets without one that are not fitted therefore.
+        self._unrivalled: set[tuple[object, ...]] = set() if before is None else set(before._unrivalled)
+        self._spared: set[tuple[str, ...]] = set()
         first = [self._node((), root, None, 0.0), *self._given(root, given), *again]
         self.nodes |= {node.key: node for node in first}
         self._grow(first)
@@ -72,6 +75,10 @@ class Tree:
     def bare(self) -> Node:
         """Return the set without effects, with the varying field of the place if there is one."""
         return self.nodes.get((FIELD_VARIATION,), self.nodes[()])
+
+    @property
+    def _full(self) -> bool:
+        return len(self.nodes.keys() | self._spared) >= PRIOR.most
 
     @property
     def near(self) -> list[Node]:
@@ -114,21 +121,30 @@ class Tree:
 
         The strongest single effect may resemble the sum of two others, as a drift does that of two jumps. One of the
         two then explains at least half of what the effect does, in the linear model of the best set, too: only then is
-        the set without the effect fitted.
+        the set without the effect fitted. An effect of which no rival explains a third there keeps its place when the
+        best set gets one more.
         """
         best = self.best
         for index, term in enumerate(best.fit.model.terms):
+            place = term.name, tuple(term.setting.items())
             if not best.replaceable(index):
                 continue
+            if place in self._unrivalled:
+                self._spared.add(best.key_without(term.name))
+                continue
             node = self.less(best, index)
-            half = 0.5 * (best.log - node.log)
+            gap = best.log - node.log
             for option in islice(self._options(node, term.name), PRIOR.beam):
-                if option.log + PRIOR.named < half:
+                if option.log + PRIOR.named < 0.5 * gap:
                     break
                 one = self._fitted(node, option)
                 if one is not None and len(one.names) < PRIOR.depth:
                     for more in islice(self._options(one, term.name), 1):
                         self._fitted(one, more)
+            rival = next((each.log + PRIOR.named for each in self._options(node, term.name)), 0.0)
+            # Where the linear model says less of the effect, it may lose its place beside another one.
+            if rival < PRIOR.unrivalled * gap < best.of_terms.nats[index]:
+                self._unrivalled.add(place)
         return self.best is not best
 
     def _deepened(self) -> bool:
@@ -137,7 +153,7 @@ class Tree:
         for node in list(self.nodes.values()):
             for option in self._options(node) if len(node.fit.model.terms) < PRIOR.depth else ():
                 ahead = node is best or node.log + option.log + PRIOR.named > best.log
-                if not ahead or self._fitted(node, option) is not None or len(self.nodes) >= PRIOR.most:
+                if not ahead or self._fitted(node, option) is not None or self._full:
                     break
         return self.best is not best
 
@@ -154,7 +170,7 @@ class Tree:
     def _fitted(self, node: Node, option: Weighed) -> Node | None:
         """Return a set with one more effect, fitted if necessary; None if it has no fit, or the limit is reached."""
         key = node.key_with(option.name)
-        if key not in self.nodes and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
+        if key not in self.nodes and not self._full and option.log + PRIOR.named > 0:
             child = self._child(node, option)
             if child is not None:
                 self.nodes[key] = child
