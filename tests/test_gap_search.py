@@ -64,6 +64,16 @@ def test_only_sets_that_are_kept_are_looked_at(monkeypatch: pytest.MonkeyPatch) 
     assert len(looks) == len(tree.nodes)
 
 
+def test_a_set_without_a_fit_is_not_fitted_with_other_numbers_of_modes(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree = Tree(base_of(drifting()), (DRIFT, "timing"))
+    node = tree.nodes[(DRIFT,)]
+    tried: list[float] = []
+    monkeypatch.setattr(Tree, "_fit", lambda self, model, known: tried.append(model.terms[0].setting["order"]))
+    assert tree._child(node, node.found["timing"]) is None
+    assert tried == [node.fit.model.terms[0].setting["order"]] == [12.0]
+    assert (DRIFT, "timing") in tree.refused
+
+
 @pytest.mark.parametrize("coloured", [False, True])
 @pytest.mark.parametrize("in_world", [False, True])
 def test_the_climb_over_amplitudes_ends_where_the_whole_grid_does(

@@ -119,16 +119,22 @@ def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
                 yield at_settings(twin, name, settings)
 
 
-def with_each_drift(model: Model, twin: Twin) -> Iterator[Model]:
-    """Yield a model with each number of modes of its first irregular drift, ascending; as it is without a drift."""
+def with_each_drift(model: Model, twin: Twin) -> tuple[list[Model], int]:
+    """Return a model with each number of modes of its first irregular drift, ascending, and the place of the present.
+
+    It is alone without a drift.
+    """
+    result: list[Model] = []
     for index, term in enumerate(model.terms):
         if term.name in _DRIFTS and term.setting["order"]:
+            fewer = 0
             for setting in irregular_drifts(twin):
+                fewer += setting["order"] < term.setting["order"]
                 terms = list(model.terms)
                 terms[index] = Active(term.name, setting, np.zeros(3 * int(setting["order"])))
-                yield replace(model, terms=tuple(terms))
-            return
-    yield model
+                result.append(model if setting == term.setting else replace(model, terms=tuple(terms)))
+            return result or [model], max(min(fewer, len(result) - 1), 0)
+    return [model], 0
 
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:

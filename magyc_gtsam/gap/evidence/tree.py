@@ -228,15 +228,23 @@ class Tree:
         count = len(term.regressors(node.fit.twin, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
         names, search = (*node.names, option.name), node.search + option.search
-        best: Node | None = None
-        for each in with_each_drift(model, node.fit.twin):  # a number of modes has a prior of 1 / number
-            fit = self._fit(each, node.fit.twin)
-            child = None if fit is None else self._node(names, fit, _variation(names, fit), search)
-            if best is not None and (child is None or child.log < best.log + _MORE_MODES):
-                break
-            best = child
+
+        def fitted(model: Model) -> Node | None:
+            fit = self._fit(model, node.fit.twin)
+            return None if fit is None else self._node(names, fit, _variation(names, fit), search)
+
+        models, place = with_each_drift(model, node.fit.twin)
+        best = fitted(models[place])
         if best is None:
             self.refused.add(node.key_with(option.name))
+            return None
+        first = best
+        for way, others in ((-1, models[:place][::-1]), (1, models[place + 1 :])):
+            for each in others if best is first else ():  # a number of modes has a prior of 1 / number
+                child = fitted(each)
+                if child is None or child.log < best.log + way * _MORE_MODES:
+                    break
+                best = child
         return best
 
     def _fit(self, model: Model, known: Twin | None) -> Refit | None:
