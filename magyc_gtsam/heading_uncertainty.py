@@ -35,13 +35,13 @@ class HeadingUncertainty:
         """Compute the uncertainty that terminal, page and files show."""
         turn = turn_of(recording, calibration)
         noise = calibration.noise.get("magnetic_field")
+        per_sample = _known(turn.per_sample(noise, calibration.soft_iron)) if noise else None
         level = systematic(turn, calibration)
-        sample = turn.per_sample(noise, calibration.soft_iron) if noise else None
-        turns = [
-            each for each in (systematic(tilted, calibration) for tilted in turn.tilted()) if each is not None
-        ]
-        tilted = min(max(float(each.max()) for each in turns), UNKNOWN_FROM) if turns else None
-        return cls(None if level is None else _known(level), None if sample is None else _known(sample), tilted)
+        if level is None:
+            return cls(None, per_sample)
+        tilted = (systematic(each, calibration) for each in turn.tilted())
+        largest = max(float(sigma.max()) for sigma in tilted if sigma is not None)
+        return cls(_known(level), per_sample, min(largest, UNKNOWN_FROM))
 
     @classmethod
     def stated(cls, calibration: Calibration) -> HeadingUncertainty:
