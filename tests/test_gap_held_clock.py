@@ -158,3 +158,13 @@ def test_a_hole_in_the_log_hides_no_clock(kept: Callable[[Array], Array]) -> Non
     own, whole = (settled(recording, NAMES)[0].magnetometer.time for recording in (holes, full))
     assert np.abs(own[:, None] - whole).min(axis=1).max() < 5e-3
     assert mg.find_gap(holes, candidates=CLOCKS).names == ("sample-hold",)
+
+
+def test_held_samples_in_coarse_steps_make_no_delay() -> None:
+    """Of a magnetometer of 20 Hz in steps of 0.6 µT, read at 100 Hz: samples that equal the one before count."""
+    log = in_step(5, 100, 0.0, 4)
+    coarse = replace(log, magnetic_field=np.round(log.magnetic_field / 0.6e-6) * 0.6e-6, magnetic_field_fresh=None)
+    gap = mg.find_gap(coarse, candidates=[*CLOCKS, "quantisation"])
+    assert gap.verdict == "closed"
+    assert set(gap.names) == {"sample-hold", "quantisation"}
+    assert gap.effects[gap.names.index("sample-hold")].value[0] == pytest.approx(5.0, abs=0.01)

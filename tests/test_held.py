@@ -28,7 +28,7 @@ def test_coarse_steps_do_not_make_the_magnetometer_seem_early(seed: int) -> None
     recording = slow(seed)
     coarse = reading(recording, np.round(recording.magnetic_field / STEP) * STEP)
     assert (~coarse.magnetic_field_fresh).mean() > 0.1
-    assert RepeatedEntries.of(coarse).by_chance
+    assert RepeatedEntries.of(coarse).rows == 1
     assert with_chance_repeats(coarse).magnetic_field_fresh.mean() > 0.99
     found = mg.calibrate(coarse)
     assert abs(found.delay) < 2 * found.delay_sigma
@@ -37,15 +37,44 @@ def test_coarse_steps_do_not_make_the_magnetometer_seem_early(seed: int) -> None
     assert early.delay < found.delay - 2.5 * found.delay_sigma
 
 
-@pytest.mark.parametrize("step", [0.0, STEP])
 @pytest.mark.parametrize("times", [2, 4])
-def test_a_hold_is_left_out(step: float, times: int) -> None:
+def test_a_hold_is_left_out(times: int) -> None:
     recording = slow(1)
     field = np.repeat(recording.magnetic_field[::times], times, axis=0)[: len(recording.time)]
-    held = reading(recording, np.round(field / step) * step if step else field)
-    assert RepeatedEntries.of(held).held or step  # chance makes the runs of a hold irregular
-    assert not RepeatedEntries.of(held).by_chance
+    held = reading(recording, field)
+    assert RepeatedEntries.of(held).held
+    assert np.isinf(RepeatedEntries.of(held).rows)
     assert with_chance_repeats(held) is held
+
+
+@pytest.mark.parametrize("times", [2, 3, 5])
+def test_of_coarse_samples_that_are_held_each_counts_once(times: int) -> None:
+    """As on a phone that is read faster than its magnetometer measures; the first of equal samples alone is early."""
+    options = {"rate": 20.0 * times, "magnetometer_noise": 0.1e-6, "gyroscope_noise": 5e-4}
+    recording = mg.simulate("moderate", duration=120, seed=5, **options).recording
+    field = np.repeat(recording.magnetic_field[::times], times, axis=0)[: len(recording.time)]
+    held = reading(recording, np.round(field / STEP) * STEP)
+    assert RepeatedEntries.of(held).rows == times
+    missed = with_chance_repeats(held).magnetic_field_fresh != (np.arange(len(field)) % times == 0)
+    assert missed.mean() < 0.01
+    found, early = (
+        mg.calibrate(held),
+        mg.calibrate(replace(held, magnetic_field_stamped=held.magnetic_field_fresh)),
+    )
+    assert abs(found.delay) < 2 * found.delay_sigma
+    assert early.delay < found.delay - 2 * found.delay_sigma
+
+
+def test_coarse_samples_of_a_clock_of_its_own_are_not_counted_twice() -> None:
+    """With 2.3 rows to a sample, runs of two and three rows are one sample each."""
+    recording = mg.simulate("moderate", duration=120, rate=50.0, seed=6, magnetometer_noise=0.1e-6).recording
+    rows = np.arange(len(recording.time))
+    taken = np.ceil(np.floor(rows / 2.3) * 2.3).astype(int)
+    held = reading(recording, np.round(recording.magnetic_field[taken] / STEP) * STEP)
+    assert RepeatedEntries.of(held).rows == pytest.approx(2.3, abs=0.2)
+    samples = with_chance_repeats(held).magnetic_field_fresh.sum()
+    assert samples == pytest.approx(len(np.unique(taken)), rel=0.02)
+    assert held.magnetic_field_fresh.sum() < 0.95 * samples
 
 
 def test_single_entries_that_a_logger_repeats_are_left_out() -> None:
@@ -54,8 +83,10 @@ def test_single_entries_that_a_logger_repeats_are_left_out() -> None:
     field = np.round(recording.magnetic_field / 1e-6) * 1e-6
     field[30::30] = field[29:-1:30]
     repeated = reading(recording, field)
-    assert not RepeatedEntries.of(repeated).by_chance
-    assert with_chance_repeats(repeated) is repeated
+    assert 1 < RepeatedEntries.of(repeated).rows < 1.1
+    np.testing.assert_array_equal(
+        with_chance_repeats(repeated).magnetic_field_fresh, repeated.magnetic_field_fresh
+    )
 
 
 def test_a_sensor_that_is_stuck_at_coarse_steps_has_no_samples() -> None:

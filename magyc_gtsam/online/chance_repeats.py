@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from magyc_gtsam.recording import Array, Samples
-from magyc_gtsam.recording.held import LONGEST, RepeatsSoFar
+from magyc_gtsam.recording.held import RepeatsSoFar, are_samples
 
 
 class ChanceRepeats:
@@ -21,7 +21,7 @@ class ChanceRepeats:
     def __init__(self) -> None:
         self._so_far = RepeatsSoFar()
         self._last, self._run = np.full(4, np.nan), 0  # the last sample, time and value, and its repeats so far
-        # Entries held back: time, value, repeats of the sample so far, its stamp, whether by chance.
+        # Entries held back: time, value, repeats of the sample so far, its stamp, entries to a sample.
         self._held = np.empty((0, 7))
         self._back = np.empty((0, 2))  # s, repeats to be put back, and the samples that they repeat
         self._passed = np.full(4, -np.inf)  # the last sample that was passed on
@@ -29,15 +29,15 @@ class ChanceRepeats:
     def take(self, entries: Samples) -> tuple[Samples, Array]:
         """Return the samples of the next entries, without repeats, and the stamps (n,) s of the repeats."""
         rows = np.vstack([self._held, self._compared(entries)])
-        repeats, by_chance = rows[:, 4] > 0, rows[:, 6]
-        decided, known = len(rows), ~np.isnan(by_chance)
+        repeats, each = rows[:, 4] > 0, rows[:, 6]
+        decided, known = len(rows), ~np.isnan(each)
         if repeats.any() and not known[-1]:
             decided = int(repeats.argmax())
         elif not known.all() and known.any():
-            by_chance[~known] = by_chance[known][0]
+            each[~known] = each[known][0]
         self._held = rows[decided:]
         rows, repeats = rows[:decided], repeats[:decided]
-        samples = repeats & (rows[:, 4] <= LONGEST) & (rows[:, 6] == 1)
+        samples = repeats & are_samples(rows[:, 4], rows[:, 6])
         self._back = np.vstack([self._back, rows[samples][:, [0, 5]]])
         return Samples(rows[~repeats, 0], rows[~repeats, 1:4]), rows[repeats, 0]
 

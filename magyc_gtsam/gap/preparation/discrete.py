@@ -33,8 +33,8 @@ def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tupl
     held = sample_hold(recording)
     if "sample-hold" in names:
         scores.append(held)
-    recording = on_own_clock(recording) if held.significant else with_chance_repeats(recording)
-    return recording, tuple(scores)
+    recording = with_chance_repeats(recording)
+    return on_own_clock(recording) if held.significant else recording, tuple(scores)
 
 
 def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:

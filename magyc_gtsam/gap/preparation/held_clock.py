@@ -8,6 +8,8 @@ two in every three), the part that is common to all ages remains unknown, and ca
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
@@ -41,7 +43,8 @@ def on_own_clock(recording: Recording) -> Recording:
     own = _on_a_line(number, time, row) if measured is None else np.interp(measured, rows, entries)
     if own is None:
         return recording
-    return recording.with_samples((own, field), None if recording.angular_rate is None else recording.gyroscope)
+    result = recording.with_samples((own, field), None if recording.angular_rate is None else recording.gyroscope)
+    return replace(result, magnetic_field_fresh=result.magnetic_field_stamped)  # equal samples are samples
 
 
 def _in_step(number: Array, rows: Array) -> Array | None:
