@@ -100,3 +100,18 @@ def test_a_sensor_that_is_stuck_at_coarse_steps_has_no_samples() -> None:
     assert found.covariance is not None
     sigma = np.sqrt(np.diag(found.covariance))[6:9]
     assert (np.abs(found.hard_iron - without.hard_iron) < 2 * sigma).all()
+
+
+@pytest.mark.parametrize(("times", "step", "seed"), [(1, 4e-3, 400), (1, 2e-3, 402), (3, 1e-3, 401)])
+def test_a_coarse_gyroscope_on_a_slow_ship_makes_no_delay(times: int, step: float, seed: int) -> None:
+    """A third and more of its readings repeat on all axes, as if it were held; the delay was up to 34 ms off."""
+    options = {"rate": 20.0 * times, "magnetometer_noise": 0.1e-6, "gyroscope_noise": 3e-4}
+    recording = mg.simulate("ship", duration=300, seed=seed, **options).recording
+    assert recording.angular_rate is not None
+    rows = np.arange(len(recording.time))
+    coarse = np.round(recording.angular_rate / step)[rows // times * times] * step
+    assert (coarse[1:] == coarse[:-1]).all(axis=1).mean() > 0.3
+    log = mg.Recording(recording.time, recording.magnetic_field, coarse)
+    assert (log.angular_rate_fresh != (rows % times == 0)).mean() < 0.01
+    found = mg.calibrate(log)
+    assert abs(found.delay) < 2 * found.delay_sigma

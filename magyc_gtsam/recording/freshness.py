@@ -8,8 +8,9 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording.checks import Array, Mask
+from magyc_gtsam.recording.repeats import due, repeats_so_far, rows_to_sample
 
-HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope counts as sample-held
+HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope may be held
 LONGEST_HOLD = 0.2  # s; a rate that repeats for longer is measured: the instrument is at rest
 
 
@@ -34,22 +35,25 @@ def row_mask(name: str, mask: Any, rows: int) -> Mask:
     return result
 
 
-def fresh_rows(time: Array, values: Array, held_share: float = 0.0, longest_hold: float = np.inf) -> Mask:
-    """Return the mask (n,) of the rows that do not repeat the row before them exactly.
-
-    Args:
-        time: (n,) s.
-        values: (n, 3) samples of the sensor.
-        held_share: share of exact repeats up to which every row counts as a sample.
-        longest_hold: s since the last fresh row, after which a repeat counts as a sample.
-    """
-    fresh = np.ones(len(time), dtype=bool)
-    repeats = (values[1:] == values[:-1]).all(axis=1)
-    if repeats.mean() > held_share:
-        fresh[1:] = ~repeats
-        last_fresh = np.maximum.accumulate(np.where(fresh, time, -np.inf))
-        fresh |= time - last_fresh > longest_hold
+def fresh_rows(values: Array) -> Mask:
+    """Return the mask (n,) of the rows (n, 3) that do not repeat the row before them exactly."""
+    fresh = np.ones(len(values), dtype=bool)
+    fresh[1:] = (values[1:] != values[:-1]).any(axis=1)
     return fresh
+
+
+def fresh_rates(time: Array, rate: Array) -> Mask:
+    """Return the mask (n,) of the rows (n, 3) that are samples of a gyroscope; every row unless it is held.
+
+    Samples in coarse steps may equal the one before: of these the share that is held tells which rows are samples.
+    """
+    repeats = rate[1:] == rate[:-1]
+    fresh = np.append(True, ~repeats.all(axis=1))
+    if 1 - fresh[1:].mean() <= HELD_GYROSCOPE:
+        return np.ones(len(time), dtype=bool)
+    last_fresh = np.maximum.accumulate(np.where(fresh, time, -np.inf))
+    result: Mask = due(repeats_so_far(fresh), rows_to_sample(time, repeats)) | (time - last_fresh > LONGEST_HOLD)
+    return result
 
 
 def sample_masks(
@@ -76,9 +80,9 @@ def sample_masks(
     if field_stamped is None:
         field_stamped = field_fresh
     if field_fresh is None:
-        field_fresh = fresh_rows(time, magnetic_field)
+        field_fresh = fresh_rows(magnetic_field)
     if rate_fresh is None and angular_rate is not None:
-        rate_fresh = fresh_rows(time, angular_rate, HELD_GYROSCOPE, LONGEST_HOLD)
+        rate_fresh = fresh_rates(time, angular_rate)
     given = {
         "magnetic_field_fresh": field_fresh,
         "angular_rate_fresh": rate_fresh,
