@@ -21,7 +21,7 @@ from magyc_gtsam.recording.applied import as_calibrated
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from season import SeasonPlan, dive_factors, draw_season
 
-SEASONS = 7
+SEASONS = 4
 
 
 @pytest.fixture(scope="module")
