@@ -61,7 +61,7 @@ def test_a_step_to_where_nothing_is_determined_is_reported():
     assert 1 <= sum(ended) <= 3
 
 
-@pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
+@pytest.mark.parametrize("motion", ["wide", "tiny"])
 def test_at_its_end_it_is_the_batch(motion):
     """One step per window ends a step short of the minimum: within a fiftieth of a batch's own error."""
     simulation = simulate(motion, duration=400, rate=10, seed=1)
@@ -126,7 +126,7 @@ def test_saved_at_any_window_it_goes_on_bit_for_bit(wide, compressed):
 @pytest.fixture(scope="module")
 def disturbed():
     """A recording in which a tenth of the windows is off, and how far off the hard iron is without a kernel."""
-    simulation = simulate("wide", duration=100, rate=10, seed=2)
+    simulation = simulate("wide", duration=60, rate=10, seed=2)
     recording = disturb(simulation.recording, share=0.1, largest=50e-6, seed=1)
     clean, plain = (
         mg.calibrate(each, "magyc-ifg", estimate="current").hard_iron for each in (simulation.recording, recording)
@@ -271,7 +271,7 @@ def test_online_blocks_kills_and_late_sensors_change_nothing(wide, tmp_path):
 
 def test_online_knows_when_it_has_converged():
     """Not before the motion determined everything; then within the limits of the truth."""
-    simulation = simulate("wide", duration=300, rate=10, seed=5)
+    simulation = simulate("wide", duration=210, rate=10, seed=5)
     at, online, first = simulation.recording, mg.OnlineCalibrator("magyc-ifg"), None
     for row in range(0, len(at.time), 10):
         rows = slice(row, row + 10)
