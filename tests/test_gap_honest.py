@@ -120,7 +120,7 @@ def test_the_time_of_a_step_has_a_sigma() -> None:
     errors: list[float] = []
     sigmas: dict[bool, list[float]] = {False: [], True: []}  # by whether the step is strong
     for seed in range(904, 910):
-        simulation = mg.simulate("wide", 150, seed=seed, effects=[("hard-iron-step", 2.0 + 3.0 * (seed % 2))])
+        simulation = mg.simulate("wide", 100, seed=seed, effects=[("hard-iron-step", 2.0 + 3.0 * (seed % 2))])
         gap = mg.find_gap(simulation.recording, candidates=["hard-iron-step"])
         truth = next(a.drawn["time"] for a in simulation.effects if a.name == "hard-iron-step")
         for effect in gap.effects:
