@@ -81,13 +81,9 @@ def test_what_a_missing_channel_did_changes_nothing(name: str, motion: str) -> N
 
 
 def test_a_bias_that_warms_without_a_thermometer_is_a_drift_that_may_be_that() -> None:
-    effects = [
-        effect
-        for motion in ("moderate", "multi")
-        for effect in _without_channels("temperature-gyro", motion, 1.6, 120.0).effects
-    ]
-    assert {effect.name for effect in effects} == {"gyro-bias-drift"}
-    assert all("temperature-gyro" in effect.ambiguous_with for effect in effects)
+    (effect,) = _without_channels("temperature-gyro", "moderate", 1.6, 120.0).effects
+    assert effect.name == "gyro-bias-drift"
+    assert "temperature-gyro" in effect.ambiguous_with
 
 
 def test_a_channel_that_agrees_by_chance_is_no_name() -> None:
