@@ -80,7 +80,7 @@ def test_the_filter_finds_how_far_to_trust_the_gyroscope():
 @pytest.mark.parametrize("method", METHODS)
 def test_soft_iron_is_not_passed_over(method):
     soft_iron = np.diag([1.3, 1.0, 0.8])
-    recording = mg.simulate("wide", 300, seed=1, soft_iron=soft_iron, gyro_bias=np.zeros(3)).recording
+    recording = mg.simulate("wide", 150, seed=1, soft_iron=soft_iron, gyro_bias=np.zeros(3)).recording
     calibration = mg.calibrate(recording, method)
     assert not calibration.converged
     assert "there is soft iron" in calibration.message
@@ -88,7 +88,7 @@ def test_soft_iron_is_not_passed_over(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_vehicle_that_only_turns_level_leaves_the_vertical_open(method):
-    recording = mg.simulate("survey", 600, seed=1, **IDEAL).recording
+    recording = mg.simulate("survey", 200, seed=1, **IDEAL).recording
     level = np.zeros((len(recording.time), 3))
     level[:, 2] = 0.1 * np.sin(0.05 * recording.time)
     angle = np.cumsum(level[:, 2]) * 0.1
