@@ -26,7 +26,7 @@ def test_examples_are_short(name):
 
 
 def test_isam2_survey(example, tmp_path):
-    said = example("isam2_survey").main(tmp_path / "figure.png", duration=200.0)
+    said = example("isam2_survey").main(tmp_path / "figure.png", duration=120.0)
     calibrated, without, off, sigma = (float(number) for number in re.findall(r"\d+\.\d+", said))
     assert calibrated < 0.4
     assert without > 5 * calibrated

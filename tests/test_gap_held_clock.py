@@ -40,8 +40,9 @@ def spread(calibration: mg.Calibration, recording: mg.Recording) -> float:
     return float(np.sqrt(world.var(axis=0).sum()))
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.09])
-@pytest.mark.parametrize(("every", "rate", "seed"), [(2, 10, 1), (5, 10, 3), (5, 100, 1)])
+@pytest.mark.parametrize(
+    ("every", "rate", "seed", "delay"), [(2, 10, 1, 0.09), (5, 10, 3, 0.0), (5, 10, 3, 0.09), (5, 100, 1, 0.0)]
+)
 def test_a_clock_in_step_with_the_rows_makes_no_delay(every: int, rate: int, seed: int, delay: float) -> None:
     """Half a row would be 50 ms at 10 Hz."""
     recording = in_step(every, rate, delay, seed)

@@ -8,6 +8,7 @@ import pytest
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap import isolability
+from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates
 from magyc_gtsam.gap.evidence.detectable import power_of
@@ -50,6 +51,11 @@ def test_found_and_named_as_the_table_says(
             (found,) = gap.effects
             assert name in (found.name, *found.ambiguous_with)
             assert {found.name, *found.ambiguous_with} <= {name, *row.confused_with}
+
+
+def test_the_table_has_every_effect(tables: dict[str, dict[str, Isolability]]) -> None:
+    assert tables["wide"].keys() == set(NAMES)
+    assert all(np.isfinite(row.smallest) for row in tables["wide"].values())
 
 
 def test_a_survey_hardly_shows_a_scale_that_grows_with_the_rate(tables: dict[str, dict[str, Isolability]]) -> None:

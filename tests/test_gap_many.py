@@ -163,7 +163,9 @@ def test_a_weaker_effect_beside_a_strong_one_is_named() -> None:
     """A delay has a small part of the evidence of a strong current, but is no rival of it."""
     effects = [("motor-current", 4.0), "timing"]
     logs = [mg.simulate("wide", 150, seed=seed, effects=effects, effects_seed=3).recording for seed in (11, 12)]
-    gap = mg.find_gap(logs)
+    gap = mg.find_gap(
+        logs, candidates=["motor-current", "timing", "eddy-plane", "hard-iron-drift", "misalignment"]
+    )
     assert gap.verdict == "closed"
     assert {"motor-current", "timing"} == {effect.name for effect in gap.effects}
     assert all(calibration.delay == pytest.approx(0.04, abs=0.01) for calibration in gap.calibrations.values())

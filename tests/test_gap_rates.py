@@ -1,4 +1,5 @@
-"""How often the gap workflow is right: over the whole catalogue, what is in none, pairs, missing channels, nothing.
+"""How often the gap workflow is right: over the whole catalogue, what is in none, pairs, nothing. Of missing
+channels see `test_gap_channels`.
 
 Recordings of two minutes with 2.6 times the published strengths, which stand out a little farther than the strengths
 themselves do in ten minutes. Seeds are drawn by nobody, as those of the blind test; `magyc-gtsam study gap` is the
@@ -18,16 +19,22 @@ import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import HiddenRecording, generate, noise_free
 from magyc_gtsam.blindtest.heading import heading_error
 from magyc_gtsam.blindtest.scenarios import INVISIBLE, Scenario, scenarios, seed_of
-from magyc_gtsam.blindtest.scoring import IN_SET, PARTIAL, RIGHT, SILENT, UNKNOWN, WRONG, judged
+from magyc_gtsam.blindtest.scoring import IN_SET, RIGHT, SILENT, UNKNOWN, WRONG, judged
 from magyc_gtsam.gap.result import Gap
-from magyc_gtsam.simulation.effects import FOREIGN, NAMED
+from magyc_gtsam.simulation.effects import NAMED
 
 EDITION = 303
 SECONDS, FACTOR = 120.0, 2.6
 CLEAN = 1
 ELSEWHERE = {"timing", "hard-iron-step", "axis-order", "hysteresis"}  # `test_gap_find`, `test_gap_honest`
+ELSEWHERE |= {"gyro-quadratic"}  # among all: `test_gap_isolability`
+IN_PAIRS = {"field-gradient", "local-anomaly", "quantisation", "soft-iron-step"}  # of those below
+FOREIGN = {  # in none, by motion; a magnet on a servo and a product of two rates on "wide": `test_gap_find`
+    "wide": (),
+    "moderate": ("axis-product", "vibration-bias"),
+    "multi": ("loose-magnet", "deadband-lag"),
+}
 PAIRS = {"wide": 0, "multi": 1}  # number of the pair that a motion takes
-WITHHELD = {("temperature-hard-iron", "moderate"): ("temperature",)}  # of a current see `test_gap_find`
 STANDING = {"rejected", "not enough information"}
 
 
@@ -60,22 +67,21 @@ class Case:
         return f"{self.scenario.set} {self.scenario.label}: {self.kind}, {self.gap.sentence}"
 
 
-def chosen(motion: str, named: int, foreign: int) -> list[Scenario]:
-    """What is hidden on a motion; of the effects of the catalogue every third from `named` on, likewise `foreign`."""
+def chosen(motion: str, named: int) -> list[Scenario]:
+    """What is hidden on a motion; of the effects of the catalogue every third from `named` on."""
 
-    def one(kind: str, factor: float, *names: str, number: int = 0, without: tuple[str, ...] = ()) -> Scenario:
+    def one(kind: str, factor: float, *names: str, number: int = 0) -> Scenario:
         label = f"{kind}-{motion}-{'+'.join(names)}-{number}"
         effects = tuple((name, factor) for name in names)
-        return Scenario(label, kind, motion, seed_of(label, EDITION), effects, without, SECONDS)
+        return Scenario(label, kind, motion, seed_of(label, EDITION), effects, (), SECONDS)
 
-    visible = [name for name in NAMED[named::3] if name not in {*INVISIBLE.get(motion, ()), *ELSEWHERE}]
+    left_out = {*INVISIBLE.get(motion, ()), *ELSEWHERE, *IN_PAIRS}
     pairs = [each.names for each in scenarios(motion, 15, EDITION, ["pair"])]
     return [
         *(one("none", 1.0, number=k) for k in range(CLEAN)),
-        *(one("single", FACTOR, name) for name in visible),
-        *(one("foreign", FACTOR, name) for name in FOREIGN[foreign::3]),
+        *(one("single", FACTOR, name) for name in NAMED[named::3] if name not in left_out),
+        *(one("foreign", FACTOR, name) for name in FOREIGN[motion]),
         *(one("pair", FACTOR, *pairs[number]) for on, number in PAIRS.items() if on == motion),
-        *(one("withheld", FACTOR, name, without=c) for (name, on), c in WITHHELD.items() if on == motion),
     ]
 
 
@@ -85,10 +91,10 @@ def diagnosed(scenario: Scenario) -> Case:
     return Case(scenario, hidden, mg.find_gap(hidden.recording))
 
 
-@pytest.mark.parametrize(("motion", "named", "foreign"), [("wide", 0, 0), ("moderate", 1, 2), ("multi", 2, 1)])
-def test_a_catalogue_on_a_motion(motion: str, named: int, foreign: int) -> None:
+@pytest.mark.parametrize(("motion", "named"), [("wide", 0), ("moderate", 1), ("multi", 2)])
+def test_a_catalogue_on_a_motion(motion: str, named: int) -> None:
     """Named, silent and unknown as it should be; what is corrected is better, what is not stays as it was."""
-    every = [diagnosed(scenario) for scenario in chosen(motion, named, foreign)]
+    every = [diagnosed(scenario) for scenario in chosen(motion, named)]
     cases = {kind: list(of) for kind, of in groupby(every, lambda case: case.scenario.set)}
     count = {kind: Counter(case.kind for case in of) for kind, of in cases.items()}
     said = "\n".join(str(case) for case in every if case.kind not in (RIGHT, SILENT))
@@ -96,10 +102,9 @@ def test_a_catalogue_on_a_motion(motion: str, named: int, foreign: int) -> None:
     assert count["none"][SILENT] == CLEAN, said
     assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - 1, said
     assert count["single"][WRONG] <= 1, said
-    assert count["foreign"][UNKNOWN] >= len(cases["foreign"]) - 1, said
-    pairs = count.get("pair", Counter())
-    assert pairs[RIGHT] + pairs[IN_SET] + pairs[PARTIAL] == pairs.total(), said
-    assert count.get("withheld", Counter())[WRONG] == 0, said
+    foreign, pairs = count.get("foreign", Counter()), count.get("pair", Counter())
+    assert foreign[UNKNOWN] == foreign.total(), said
+    assert pairs[RIGHT] + pairs[IN_SET] == pairs.total(), said
 
     for case in every:
         gap = case.gap
@@ -113,8 +118,6 @@ def test_a_catalogue_on_a_motion(motion: str, named: int, foreign: int) -> None:
         # What was not significant is not called anything else.
         assert {h.status for h in gap.hypotheses if not h.significant} <= {*STANDING, "named", "possible"}, case
         assert not STANDING.intersection(h.status for h in gap.hypotheses if h.significant), case
-        if case.scenario.withheld:
-            assert set(case.scenario.names) <= {u.name for u in gap.untested}, case
 
     corrected = [case for case in cases["single"] if any(effect.applied for effect in case.gap.effects)]
     headings = np.array([case.headings for case in corrected if "axis-order" not in case.scenario.names])

@@ -73,9 +73,10 @@ def test_exchanged_axes_hold_on_another_log(tmp_path: Path, capsys: pytest.Captu
         turned = replace(recording, angular_rate=recording.angular_rate @ _AXES, attitude=None)
         logs.append(str(tmp_path / f"{seed}.mcap"))
         write_mcap(Path(logs[-1]), turned)
-    assert cli.main(["gap", *logs[:1], "--validate", logs[1], "-o", str(tmp_path / "out"), "-q"]) == 0
+    asked = ["--candidates", "axis-order", "-o", str(tmp_path / "out"), "-q"]
+    assert cli.main(["gap", *logs[:1], "--validate", logs[1], *asked]) == 0
     assert capsys.readouterr().err == ""
-    gap = mg.find_gap(mg.read(logs[0]))
+    gap = mg.find_gap(mg.read(logs[0]), candidates=["axis-order"])
     assert gap.names == ("axis-order",)
     assert [term.name for term in gap.base.terms] == ["axis-order"]
     loop = agreement(mg.read(logs[1]), gap.base)[0].open_loop

@@ -21,7 +21,7 @@ from magyc_gtsam.recording.applied import as_calibrated
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from season import SeasonPlan, dive_factors, draw_season
 
-SEASONS = 7
+SEASONS = 4
 
 
 @pytest.fixture(scope="module")
@@ -322,16 +322,13 @@ def test_two_vague_logs_of_another_instrument_are_found_together() -> None:
 def test_logs_of_two_instruments_that_come_one_by_one(dives: tuple[LogFactor, ...]) -> None:
     """Each goes to the instrument that it is of, whichever has more logs by then; at the end as all at once."""
     plan = SeasonPlan(dives=6, jumps=0, wrecks=0, wrong_units=0)
-    right = 0
-    for seed in range(10):
+    for seed in range(5):
         one, other = (draw_season(100 * s + seed, dives, plan) for s in (3, 4))
         logs = [*one.factors[:3], *other.factors, *one.factors[3:]]
         history = History(logs[:2])
         for log in logs[2:]:
             history.extend([log])
-        assert history.groups == History(logs).groups
-        right += history.groups == ((0, 1, 2, 9, 10, 11), (3, 4, 5, 6, 7, 8))
-    assert right >= 9
+        assert history.groups == History(logs).groups == ((0, 1, 2, 9, 10, 11), (3, 4, 5, 6, 7, 8))
 
 
 def test_damaged_files_are_refused(tmp_path: Path, dives: tuple[LogFactor, ...]) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.estimators.magyc import graph as graph_module
 from magyc_gtsam.estimators.magyc.derivative_windows import GAUSS, derivative_windows, form_windows
 from magyc_gtsam.estimators.magyc.graph import EstimateHistory, MagycGraph
 from magyc_gtsam.estimators.magyc.options import IncrementalOptions
@@ -29,14 +30,21 @@ def windows_of(recording):
     return list(zip(*derivative_windows(recording).in_gauss(), strict=True))
 
 
+@pytest.fixture
+def renewed(monkeypatch):
+    """After how many windows iSAM2 restarts, here a quarter: the published graph takes all windows at every step."""
+    monkeypatch.setattr(graph_module, "_RENEWED", 16)
+    return 16
+
+
 @pytest.mark.parametrize(("optimizer", "prior"), [("dogleg", "norm"), ("gauss-newton", "determinant")])
-def test_compressed_gives_every_estimate_of_the_published_graph(wide, optimizer, prior):
+def test_compressed_gives_every_estimate_of_the_published_graph(wide, renewed, optimizer, prior):
     """Over the renewals of iSAM2 and from the first window that determines anything."""
     compressed, published = (
         MagycGraph(IncrementalOptions(compressed=each, optimizer=optimizer, prior=prior)) for each in (True, False)
     )
     determined = 0
-    for window in windows_of(wide.recording.between(0, 80)):
+    for window in windows_of(wide.recording.between(0, 3 * renewed)):
         status = [graph.add(*window).status for graph in (compressed, published)]
         assert status[0] == status[1]
         one, other = compressed.state, published.state
@@ -44,7 +52,7 @@ def test_compressed_gives_every_estimate_of_the_published_graph(wide, optimizer,
         np.testing.assert_allclose(one.d, other.d, atol=1e-9)
         np.testing.assert_allclose(one.b, other.b, atol=1e-9)
         determined += compressed.result.updated
-    assert determined > 70
+    assert determined > 2.5 * renewed
     np.testing.assert_allclose(compressed.mean(), published.mean(), atol=1e-9)
 
 
@@ -61,7 +69,7 @@ def test_a_step_to_where_nothing_is_determined_is_reported():
     assert 1 <= sum(ended) <= 3
 
 
-@pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
+@pytest.mark.parametrize("motion", ["wide", "tiny"])
 def test_at_its_end_it_is_the_batch(motion):
     """One step per window ends a step short of the minimum: within a fiftieth of a batch's own error."""
     simulation = simulate(motion, duration=400, rate=10, seed=1)
@@ -104,12 +112,12 @@ def test_the_history_of_a_long_mission_stays_small():
 
 
 @pytest.mark.parametrize("compressed", [True, False])
-def test_saved_at_any_window_it_goes_on_bit_for_bit(wide, compressed):
-    windows = windows_of(wide.recording)[: 80 if compressed else 68]
+def test_saved_at_any_window_it_goes_on_bit_for_bit(wide, renewed, compressed):
+    windows = windows_of(wide.recording)[: 2 * renewed - 1]
     whole = MagycGraph(IncrementalOptions(compressed=compressed))
     for window in windows:
         whole.add(*window)
-    for cut in (0, 2, 5, 63, 64, 65, 79) if compressed else (64,):
+    for cut in (0, 2, 5, renewed - 1, renewed, renewed + 1, 2 * renewed - 1):
         first, second = (MagycGraph(IncrementalOptions(compressed=compressed)) for _ in range(2))
         for window in windows[:cut]:
             first.add(*window)
@@ -126,7 +134,7 @@ def test_saved_at_any_window_it_goes_on_bit_for_bit(wide, compressed):
 @pytest.fixture(scope="module")
 def disturbed():
     """A recording in which a tenth of the windows is off, and how far off the hard iron is without a kernel."""
-    simulation = simulate("wide", duration=100, rate=10, seed=2)
+    simulation = simulate("wide", duration=60, rate=10, seed=2)
     recording = disturb(simulation.recording, share=0.1, largest=50e-6, seed=1)
     clean, plain = (
         mg.calibrate(each, "magyc-ifg", estimate="current").hard_iron for each in (simulation.recording, recording)
@@ -271,7 +279,7 @@ def test_online_blocks_kills_and_late_sensors_change_nothing(wide, tmp_path):
 
 def test_online_knows_when_it_has_converged():
     """Not before the motion determined everything; then within the limits of the truth."""
-    simulation = simulate("wide", duration=300, rate=10, seed=5)
+    simulation = simulate("wide", duration=210, rate=10, seed=5)
     at, online, first = simulation.recording, mg.OnlineCalibrator("magyc-ifg"), None
     for row in range(0, len(at.time), 10):
         rows = slice(row, row + 10)
@@ -304,10 +312,13 @@ def test_online_a_pause_of_hours_and_a_clock_that_jumps_cost_nothing(wide):
     assert sum(value.size for value in alone._engine.state().values()) < 5 * 600 + 1000
 
 
-def test_table_one_of_the_paper():
-    """Each printed figure lies in the range of a few random draws, or at its edge."""
+def test_table_one_of_the_paper(monkeypatch):
+    """Each printed figure of the wider motions lies in the range of a few random draws, or at its edge."""
+    monkeypatch.setitem(PUBLISHED, "raw", {motion: PUBLISHED["raw"][motion] for motion in ("wide", "moderate")})
     rows = {row.motion: row for row in table_one(3, methods=("magyc-ifg",)) if row.method == "magyc-ifg"}
-    for motion, (heading, _) in PUBLISHED["magyc-ifg"].items():
+    assert rows.keys() == {"wide", "moderate"}
+    for motion in rows:
+        heading, _ = PUBLISHED["magyc-ifg"][motion]
         assert rows[motion].heading[1] - 0.2 < heading < rows[motion].heading[2] + 0.4
 
 

@@ -84,7 +84,9 @@ def test_names_of_folders_are_unique() -> None:
     assert unique_names([Path("a.mcap"), Path("a.csv")]) == ["a", "a-2"]
 
 
-def test_calibrate_a_folder(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibrate_a_folder(
+    season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None
+) -> None:
     folder = tmp_path / "results"
     assert main(["calibrate", str(season), "--output", str(folder)]) == 2  # the worst
     output, errors = capsys.readouterr()

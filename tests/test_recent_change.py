@@ -45,11 +45,11 @@ def test_the_sigmas_cover_most_of_a_change_of_the_soft_iron_that_is_not_yet_foun
 
     Without the widening all are at 7 to 15, without the turn in it the misalignment is off by 14 to 50.
     """
-    every = [reading for seed in range(9200, 9204) for reading in readings(seed)]
+    every = [reading for seed in range(9200, 9202) for reading in readings(seed)]
     before = [named for now, _, _, named in every if now < 0]
     after = np.array([both for now, *both, _ in every if now > 5])
-    assert len(before) > 12
+    assert len(before) > 6
     assert not any(before)
-    assert len(after) > 8
+    assert len(after) > 4
     assert np.median(after, axis=0).max() < 1.5
     assert (after > 3).any(axis=1).mean() < 0.3

@@ -30,7 +30,7 @@ def test_hard_iron_of_an_ideal_sensor(method, motion):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_exact_without_noise(method):
-    simulation = mg.simulate("wide", 120, 50, seed=1, magnetometer_noise=0, gyroscope_noise=0, **IDEAL)
+    simulation = mg.simulate("wide", 40, 50, seed=1, magnetometer_noise=0, gyroscope_noise=0, **IDEAL)
     calibration = mg.calibrate(simulation.recording, method)
     np.testing.assert_allclose(calibration.hard_iron, simulation.truth.hard_iron, atol=1e-10)
 
@@ -67,12 +67,12 @@ def test_filter_is_the_batch_solution_where_nothing_drifts():
 def test_the_filter_finds_how_far_to_trust_the_gyroscope():
     """A bias that the model does not have must not spoil a large hard iron: the phone's case."""
     bias = [0.012, 0.0, 0.075]
-    simulation = mg.simulate("wide", 120, 50, seed=1, soft_iron=np.eye(3), gyro_bias=bias, hard_iron=LARGE)
+    simulation = mg.simulate("wide", 60, 50, seed=1, soft_iron=np.eye(3), gyro_bias=bias, hard_iron=LARGE)
     adapted = mg.calibrate(simulation.recording, "sar-kf")
     trusting = mg.calibrate(simulation.recording, "sar-kf", noise=(1e-6, 5e-3))
     errors = [np.linalg.norm(c.hard_iron - LARGE) for c in (adapted, trusting)]
     assert errors[0] < 0.5 * errors[1]
-    ideal = mg.calibrate(mg.simulate("wide", 120, 50, seed=1, **IDEAL).recording, "sar-kf")
+    ideal = mg.calibrate(mg.simulate("wide", 60, 50, seed=1, **IDEAL).recording, "sar-kf")
     assert ideal.diagnostics["magnetometer_noise"] == pytest.approx(1e-6, rel=0.1)
     assert ideal.diagnostics["gyroscope_noise"] < adapted.diagnostics["gyroscope_noise"]
 
@@ -80,7 +80,7 @@ def test_the_filter_finds_how_far_to_trust_the_gyroscope():
 @pytest.mark.parametrize("method", METHODS)
 def test_soft_iron_is_not_passed_over(method):
     soft_iron = np.diag([1.3, 1.0, 0.8])
-    recording = mg.simulate("wide", 300, seed=1, soft_iron=soft_iron, gyro_bias=np.zeros(3)).recording
+    recording = mg.simulate("wide", 150, seed=1, soft_iron=soft_iron, gyro_bias=np.zeros(3)).recording
     calibration = mg.calibrate(recording, method)
     assert not calibration.converged
     assert "there is soft iron" in calibration.message
@@ -88,7 +88,7 @@ def test_soft_iron_is_not_passed_over(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_vehicle_that_only_turns_level_leaves_the_vertical_open(method):
-    recording = mg.simulate("survey", 600, seed=1, **IDEAL).recording
+    recording = mg.simulate("survey", 200, seed=1, **IDEAL).recording
     level = np.zeros((len(recording.time), 3))
     level[:, 2] = 0.1 * np.sin(0.05 * recording.time)
     angle = np.cumsum(level[:, 2]) * 0.1
@@ -106,7 +106,7 @@ def test_a_vehicle_that_only_turns_level_leaves_the_vertical_open(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_scale_of_the_field(method):
-    simulation = mg.simulate("dive", 120, seed=1, **IDEAL)
+    simulation = mg.simulate("dive", 60, seed=1, **IDEAL)
     free, scaled = (mg.calibrate(simulation.recording, method, field_strength=f) for f in (None, 50e-6))
     np.testing.assert_allclose(scaled.hard_iron, free.hard_iron)
     np.testing.assert_allclose(scaled.soft_iron, free.field_strength / 50e-6 * np.eye(3))

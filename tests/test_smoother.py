@@ -18,7 +18,7 @@ from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.signals import record
 
 MICROTESLA = 1e-6
-RUNS = 24
+RUNS = 16
 CHI2_11 = 31.3  # 99.9 % point of χ² of 11 degrees of freedom
 
 

@@ -136,22 +136,28 @@ DATASETS = Path(__file__).parents[1] / "datasets"
 def test_fig_3b_the_cost_of_magyc_misleads_on_a_survey_at_the_published_noise() -> None:
     pytest.importorskip("gtsam")
     methods = ("magyc-bfg", "magyc-ifg", "smoother")
-    chosen = [dive_survey.DivePair(noise, 0) for noise in (1.0, 0.1)]
-    rows = study_rows("dive-survey", partial(dive_survey.worked, methods=methods), chosen)
+    ran = {1.0: methods, 0.1: ("magyc-bfg",)}
+    rows = [
+        row
+        for noise, names in ran.items()
+        for row in study_rows(
+            "dive-survey", partial(dive_survey.worked, methods=names), [dive_survey.DivePair(noise, 0)]
+        )
+    ]
     found = {(row["noise"], row["way"], row["method"]): row for row in rows}
-    for noise in (1.0, 0.1):  # on the dive all methods are right
-        for name in methods:
+    for noise, names in ran.items():  # on the dive all methods are right
+        for name in names:
             row = found[noise, "dive to survey", name]
             assert row["heading"] < 1.15 * found[noise, "dive to survey", "truth"]["heading"]
             assert row["trusted"]
     loud, quiet = (
-        {name: found[noise, "survey to dive", name] for name in (*methods, "truth")} for noise in (1.0, 0.1)
+        {name: found[noise, "survey to dive", name] for name in (*names, "truth")} for noise, names in ran.items()
     )
     for name in methods[:2]:
         assert loud[name]["heading"] > 4 * loud["truth"]["heading"]
         assert loud[name]["cost"] < 0.98  # at the truth it is 1: the minimum is elsewhere
         assert not loud[name]["trusted"]
-        assert quiet[name]["heading"] < 3 * quiet["truth"]["heading"]
+    assert quiet["magyc-bfg"]["heading"] < 3 * quiet["truth"]["heading"]
     assert loud["magyc-ifg"]["cost"] < loud["magyc-bfg"]["cost"]
     assert loud["smoother"]["heading"] < 1.1 * loud["truth"]["heading"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from magyc_gtsam.simulation import GYRO_BIAS, HARD_IRON, SOFT_IRON
 from magyc_gtsam.study.faults import running
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import score
-from magyc_gtsam.study.faults.signals import record
+from magyc_gtsam.study.faults.signals import LoggedSamples, record
 
 TRUE_IRON = SOFT_IRON / np.cbrt(np.linalg.det(SOFT_IRON))
 
@@ -28,11 +29,16 @@ def result(hard_iron: np.ndarray, sigma: float, soft_iron: np.ndarray = TRUE_IRO
     return mg.Calibration(soft_iron, hard_iron, GYRO_BIAS, covariance=np.diag(variance), method="test")
 
 
+@functools.cache
+def without_fault(seed: int, rate: float, duration: float) -> LoggedSamples:
+    return record("wide", seed, replace(FAULTS["clean"], rate=rate), duration=duration)
+
+
 @pytest.mark.parametrize("name", FAULTS)
 def test_every_fault_changes_the_log_more_the_stronger_it_is(name: str) -> None:
     fault = FAULTS[name]
-    logs = [record("wide", 1, replace(fault, place="none"), 0.0, name, 120.0)]
-    logs += [record("wide", 1, fault, size, name, 120.0) for size in (fault.weak, fault.strong)]
+    logs = [record("wide", 1, fault, size, name, 120.0) for size in (fault.weak, fault.strong)]
+    logs.insert(0, without_fault(1, fault.rate, 120.0))
     for log in logs:
         assert isinstance(log.recording(name), Recording)
     same = [
@@ -53,12 +59,12 @@ def test_every_fault_changes_the_log_more_the_stronger_it_is(name: str) -> None:
         assert strong > weak or name in ("clean", "swell-at-1-hz", "cycled-gyroscope-axes")
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", ["reset-flips", "switched-current", "iron-steps", "offset-drift"])
 def test_an_iron_that_changes_ends_at_the_true_one(name: str, seed: int) -> None:
     fault = FAULTS[name]
     log = record("wide", seed, fault, fault.strong, name, 300.0)
-    changed = log.field - record("wide", seed, duration=300.0).field
+    changed = log.field - without_fault(seed, fault.rate, 300.0).field
     np.testing.assert_allclose(changed[-5:], 0, atol=2e-3 * fault.strong)
     assert np.abs(changed).max() > 0.3 * fault.strong
 

@@ -12,7 +12,7 @@ from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.factors.chain.facts import field_strength
@@ -50,7 +50,7 @@ def compare(measured: SimulatedGap, simulated: SimulatedGap) -> tuple[Assumption
     rows = [*_noise(*models), *_parameters(*models), *_unnamed(measured, simulated)]
     pairs = list(_pairs(measured.gap.effects, simulated.gap.effects))
     rows += [_row(own, other) for own, other in pairs if own is not None and other is not None]
-    limit = float(norm.isf(RULES.family_wise / max(len(rows), 1) / 2))
+    limit = -float(ndtri(RULES.family_wise / max(len(rows), 1) / 2))
     compared = [_assumption(row, limit) for row in rows]
     compared.sort(key=lambda a: -abs(a.measured - a.simulated) / max(a.sigma, 1e-300))
     return (

@@ -7,7 +7,6 @@ from zlib import crc32
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.signal import lfilter
 
 from magyc_gtsam.recording import Array
 
@@ -125,6 +124,8 @@ def _step(time: Array) -> float:
 
 
 def _low_pass(value: Array, time: Array, constant: float) -> Array:
+    from scipy.signal import lfilter  # imported here because it takes longer than a simulation
+
     share = _step(time) / (constant + _step(time))
     result, _ = lfilter([share], [1, share - 1], value, zi=[(1 - share) * value[0]])
     return np.asarray(result)

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import dct
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 from scipy.special import logsumexp
 
 from magyc_gtsam.factors.chain.rotations import Array
@@ -49,7 +48,7 @@ def _autoregression(rows: Array) -> float:
         first = lagged[:-1].copy()
         first[0] *= 1 + 1e-9
         polynomial = np.concatenate([[1.0], -solve_toeplitz(first, lagged[1:])])
-        left = lfilter(polynomial, [1.0], rows, axis=1)[:, order:]
+        left = sum(factor * rows[:, order - lag : n - lag] for lag, factor in enumerate(polynomial))
         start = 0.5 * float((rows[:, :order] ** 2).sum()) / mean + 0.5 * k * order * np.log(mean)
         log = 0.5 * square - 0.5 * left.size * (np.log(float((left**2).mean())) + 1) - start
         best = max(best, log - 0.5 * (order + 1) * np.log(k * n))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import ncx2
+from scipy.special import chndtr
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.beside import LEAST
@@ -106,4 +106,4 @@ def needed_and_size(name: str, information: Array, cell: Array, values: Array) -
 def found(needed: Array, size: Array, count: int) -> Array:
     """Return the probability that a statistic of a size, χ² with `count` degrees of freedom, is the needed one."""
     certain = 4 * needed + 100  # scipy's distribution fails far beyond
-    return np.asarray(ncx2.sf(needed, count, np.minimum(size, certain)), dtype=float)
+    return np.asarray(1 - chndtr(needed, count, np.minimum(size, certain)), dtype=float)

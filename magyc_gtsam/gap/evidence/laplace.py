@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.special import logsumexp
 
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
@@ -148,7 +147,7 @@ def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Exp
             tried = np.array([nats(np.where(np.arange(count) == i, one, scale)) for one in likely])
             scale[i] = likely[int(np.argmax(tried))]
             each.append(tried)
-    spread = np.array([float(logsumexp(t) - t.max() - np.log(len(t))) for t in each])
+    spread = np.array([float(np.logaddexp.reduce(t) - t.max() - np.log(len(t))) for t in each])
     total = nats(scale)
     alone = np.array(
         [total + own - nats(np.where(np.arange(count) == i, 0.0, scale)) for i, own in enumerate(spread)]

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
@@ -54,8 +53,9 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
             yield SetWeight(less, node.log + log, seen, powers)
         colour = None if COLOUR in node.names or node.variation is None else node.found.get(COLOUR)
         if colour is not None and node.key_with(COLOUR) not in tried:
-            logs = np.where(colour.power > _deviation(node, powers, colour), colour.by_scale, -np.inf)
-            yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + logsumexp(logs), None, powers)
+            large = colour.power > _deviation(node, powers, colour)
+            log = node.log + PRIOR.named + np.logaddexp.reduce(colour.by_scale[large])
+            yield SetWeight(tuple(sorted((*key, COLOUR))), log, None, powers)
         for gain in node.moving:  # the only unknown effect that resembles a field of the place
             yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
         for each in node.found.values():  # sets that were not fitted, in linearised form
@@ -63,7 +63,7 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
             if each.name in TERMS and each.name not in node.names and more not in tried:
                 large = each.power > PRIOR.form_of_field * node.of_field
                 if large.any():
-                    log = node.log + PRIOR.named + logsumexp(each.by_scale[large])
+                    log = node.log + PRIOR.named + np.logaddexp.reduce(each.by_scale[large])
                     with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each], [0.0])}
                     yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
 
@@ -75,7 +75,7 @@ def _mean_power(families: Sequence[Weighed], least: Sequence[float]) -> float:
     if not np.isfinite(logs).any():
         return 0.0
     power = np.concatenate([[0.0], *(each.power[seen] for each, seen in zip(families, large, strict=True))])
-    return float(np.exp(logs - logsumexp(logs)) @ power)
+    return float(np.exp(logs - np.logaddexp.reduce(logs)) @ power)
 
 
 def _deviation(node: Node, powers: Mapping[str, float], family: Weighed) -> float:
@@ -95,16 +95,16 @@ def _families(tree: Tree, node: Node, powers: Mapping[str, float]) -> tuple[floa
     for each in families:
         small = each.power < _deviation(node, powers, each)
         if small.any():
-            form.append(logsumexp(each.by_scale[small]))
+            form.append(np.logaddexp.reduce(each.by_scale[small]))
         if product_of(each.name) is None:
             alone.append(each)
             if not small.all():
-                foreign.append(logsumexp(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
+                foreign.append(np.logaddexp.reduce(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
     share = np.log(max(len(families), 1))
     seen = _mean_power(alone, [_deviation(node, powers, each) for each in alone])
     return (
-        float(logsumexp(form) - share) if form else -np.inf,
-        (float(logsumexp(foreign) - share) if foreign else -np.inf, seen),
+        float(np.logaddexp.reduce(form) - share) if form else -np.inf,
+        (float(np.logaddexp.reduce(foreign) - share) if foreign else -np.inf, seen),
     )
 
 
@@ -114,7 +114,7 @@ def _products(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[float, 
         found = [each for each in node.found.values() if product_of(each.name) == name]
         least = [_deviation(node, powers, each) for each in found]
         large = [each.by_scale[each.power > limit] for each, limit in zip(found, least, strict=True)]
-        log = float(logsumexp(np.concatenate([*large, [-np.inf]]))) - float(np.log(len(found)))
+        log = float(np.logaddexp.reduce(np.concatenate([*large, [-np.inf]]))) - float(np.log(len(found)))
         yield PRIOR.named + PRIOR.imitated + log, _mean_power(found, least)
 
 
@@ -135,14 +135,14 @@ def _imitated(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[tuple[s
     if not families or not powers:
         return
     share = float(np.log(len(families)))
-    hidden = float(logsumexp([min(each.tied, 0.0) for each in families])) - share
+    hidden = float(np.logaddexp.reduce([min(each.tied, 0.0) for each in families])) - share
     for name, power in powers.items():
         of_field = name == FIELD_VARIATION
         rest = [each for each in families if of_field or product_of(each.name) == name]
         least = PRIOR.form * (node.explained if of_field else max(power, node.of_field))
         large = np.concatenate([*(each.by_scale[each.power > least] for each in rest), [-np.inf]])
         imitated = PRIOR.imitated - float(np.log(len(powers)))
-        seen = float(logsumexp(large)) - share + (imitated if of_field else PRIOR.unknown)
+        seen = float(np.logaddexp.reduce(large)) - share + (imitated if of_field else PRIOR.unknown)
         unseen = -np.inf if of_field else hidden + imitated
         others = tuple(sorted(set(powers) - {name}))
         yield others, float(np.logaddexp(seen, unseen)), power + _mean_power(rest, [least] * len(rest))
@@ -157,7 +157,7 @@ def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
         if found is not None:
             more = found.power > PRIOR.form * (child.explained - node.explained)
             logs = np.concatenate([[0.0], found.by_scale])
-            least = min(least, float(np.exp(logs - logsumexp(logs))[1:][more].sum()))
+            least = min(least, float(np.exp(logs - np.logaddexp.reduce(logs))[1:][more].sum()))
     return float(np.log(max(least, 1e-12)))
 
 
@@ -202,12 +202,12 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
                 odds += min(sensor + PRIOR.world_ahead, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)
-    return {key: float(logsumexp(values)) for key, values in logs.items()}
+    return {key: float(np.logaddexp.reduce(values)) for key, values in logs.items()}
 
 
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
     """Return probabilities, with a share for an unknown effect alone that this comparison does not contain."""
-    total = logsumexp(list(logs.values()))
+    total = np.logaddexp.reduce(list(logs.values()))
     result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in logs.items()}
     result[(), True] = result.get(((), True), 0.0) + PRIOR.unforeseen
     return result

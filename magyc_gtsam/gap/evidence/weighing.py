@@ -190,10 +190,9 @@ def nats_by_scale(names: Sequence[str], value: Array, rotated: Array) -> Array:
     spread = 1 + variance * value[:, None]
     gain = np.einsum("bsk,bk...->bs...", variance / spread, rotated**2)
     log: Array = 0.5 * (gain - np.log(spread).sum(axis=2).reshape(gain.shape[:2] + (1,) * (gain.ndim - 2)))
-    for i, name in enumerate(names):
-        likely = scales_of(name)
-        log[i, ~likely] = -np.inf
-        log[i] += np.log(len(likely) / likely.sum())
+    likely = np.array([scales_of(name) for name in names])
+    log[~likely] = -np.inf
+    log += np.log(likely.shape[1] / likely.sum(axis=1)).reshape((-1,) + (1,) * (log.ndim - 1))
     return log
 
 

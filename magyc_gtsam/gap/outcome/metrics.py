@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
@@ -184,4 +184,4 @@ def _spectrum(twin: Twin, innovation: Array) -> GapMap:
 
 
 def _band(freedoms: np.ndarray) -> Array:
-    return np.sqrt(np.stack([chi2.ppf(0.005, freedoms), chi2.ppf(0.995, freedoms)], axis=1) / freedoms[:, None])
+    return np.sqrt(np.stack([chdtri(freedoms, 0.995), chdtri(freedoms, 0.005)], axis=1) / freedoms[:, None])

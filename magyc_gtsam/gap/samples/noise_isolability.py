@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2, norm
+from scipy.special import chdtri, chndtr, ndtri
 
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.gap.result import Isolability
@@ -60,7 +60,7 @@ def _certain(name: str, smallest: float, unit: str, words: str) -> Isolability:
 
 def _gain_needed() -> float:
     """Return the mean gain (nats) that is significant with probability 0.9; a gain G has a deviation of √(2 G)."""
-    spread = np.sqrt(2) * float(norm.ppf(RULES.found_with))
+    spread = np.sqrt(2) * float(ndtri(RULES.found_with))
     return float((0.5 * (spread + np.sqrt(spread**2 + 4 * (NOISE_LIMIT + RULES.chance)))) ** 2)
 
 
@@ -71,8 +71,8 @@ def _solved(gain: Callable[[float], float], needed: float) -> float:
 
 def _tone(samples: int) -> float:
     """Return the amplitude: twice the height of a line is χ² with 6 degrees of freedom, non-centrality n a² / 2."""
-    level = float(chi2.isf(np.exp(-NOISE_LIMIT - RULES.unsure_line - 2 * np.log(samples / 2)), 6))
-    return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), RULES.found_with)
+    level = float(chdtri(6, np.exp(-NOISE_LIMIT - RULES.unsure_line - 2 * np.log(samples / 2))))
+    return _solved(lambda a: 1 - float(chndtr(level, 6, 0.5 * samples * a**2)), RULES.found_with)
 
 
 def _coloured(samples: int, rate: float) -> float:
@@ -88,14 +88,14 @@ def _coloured(samples: int, rate: float) -> float:
 
 def _spikes(samples: int) -> float:
     """Return the standard deviation: mean gain of a mixture over one normal distribution, by quadrature (χ²₃)."""
-    grid = np.linspace(0.0005, 0.9995, 1000)
+    quantile = chdtri(3, np.linspace(0.9995, 0.0005, 1000))
 
     def gain(height: float) -> float:
         wide = 1 + height**2
         scale = 1 - _SHARE + _SHARE * wide
         total = 0.0
         for share, variance in ((1 - _SHARE, 1.0), (_SHARE, wide)):
-            square = variance * chi2.ppf(grid, 3)
+            square = variance * quantile
             mixture = np.logaddexp(
                 np.log(1 - _SHARE) - 0.5 * square, np.log(_SHARE) - 1.5 * np.log(wide) - 0.5 * square / wide
             )

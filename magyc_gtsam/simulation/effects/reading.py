@@ -6,7 +6,6 @@ from itertools import permutations, product
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction
@@ -16,6 +15,8 @@ Result = tuple[Array, dict[str, Any]]
 
 def _coloured(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Add AR(2) noise: a damped resonance at 0.05 to 0.2 Hz, as of a swinging mount."""
+    from scipy.signal import lfilter
+
     step = float(np.median(np.diff(scene.row_time)))
     frequency, decay = random.uniform(0.05, 0.2), random.uniform(1.5, 4.0)
     radius = np.exp(-step / decay)
