@@ -28,7 +28,7 @@ def test_coarse_steps_do_not_make_the_magnetometer_seem_early(seed: int) -> None
     recording = slow(seed)
     coarse = reading(recording, np.round(recording.magnetic_field / STEP) * STEP)
     assert (~coarse.magnetic_field_fresh).mean() > 0.1
-    assert RepeatedEntries.of(coarse).rows == 1
+    assert RepeatedEntries.of(coarse).repetition.rows == 1
     assert with_chance_repeats(coarse).magnetic_field_fresh.mean() > 0.99
     found = mg.calibrate(coarse)
     assert abs(found.delay) < 2 * found.delay_sigma
@@ -37,13 +37,21 @@ def test_coarse_steps_do_not_make_the_magnetometer_seem_early(seed: int) -> None
     assert early.delay < found.delay - 2.5 * found.delay_sigma
 
 
+def test_the_coarser_the_steps_the_longer_are_runs_that_are_samples() -> None:
+    recording = mg.simulate("ship", duration=300, rate=20.0, seed=351, magnetometer_noise=0.1e-6).recording
+    coarse = reading(recording, np.round(recording.magnetic_field / 1e-6) * 1e-6)
+    place = np.flatnonzero(coarse.magnetic_field_fresh)
+    assert np.diff(place).max() > 20
+    assert with_chance_repeats(coarse).magnetic_field_fresh.mean() > 0.99
+
+
 @pytest.mark.parametrize("times", [2, 4])
 def test_a_hold_is_left_out(times: int) -> None:
     recording = slow(1)
     field = np.repeat(recording.magnetic_field[::times], times, axis=0)[: len(recording.time)]
     held = reading(recording, field)
     assert RepeatedEntries.of(held).held
-    assert np.isinf(RepeatedEntries.of(held).rows)
+    assert np.isinf(RepeatedEntries.of(held).repetition.rows)
     assert with_chance_repeats(held) is held
 
 
@@ -54,7 +62,7 @@ def test_of_coarse_samples_that_are_held_each_counts_once(times: int) -> None:
     recording = mg.simulate("moderate", duration=120, seed=5, **options).recording
     field = np.repeat(recording.magnetic_field[::times], times, axis=0)[: len(recording.time)]
     held = reading(recording, np.round(field / STEP) * STEP)
-    assert RepeatedEntries.of(held).rows == times
+    assert RepeatedEntries.of(held).repetition.rows == times
     missed = with_chance_repeats(held).magnetic_field_fresh != (np.arange(len(field)) % times == 0)
     assert missed.mean() < 0.01
     found, early = (
@@ -71,7 +79,7 @@ def test_coarse_samples_of_a_clock_of_its_own_are_not_counted_twice() -> None:
     rows = np.arange(len(recording.time))
     taken = np.ceil(np.floor(rows / 2.3) * 2.3).astype(int)
     held = reading(recording, np.round(recording.magnetic_field[taken] / STEP) * STEP)
-    assert RepeatedEntries.of(held).rows == pytest.approx(2.3, abs=0.2)
+    assert RepeatedEntries.of(held).repetition.rows == pytest.approx(2.3, abs=0.2)
     samples = with_chance_repeats(held).magnetic_field_fresh.sum()
     assert samples == pytest.approx(len(np.unique(taken)), rel=0.02)
     assert held.magnetic_field_fresh.sum() < 0.95 * samples
@@ -83,7 +91,7 @@ def test_single_entries_that_a_logger_repeats_are_left_out() -> None:
     field = np.round(recording.magnetic_field / 1e-6) * 1e-6
     field[30::30] = field[29:-1:30]
     repeated = reading(recording, field)
-    assert 1 < RepeatedEntries.of(repeated).rows < 1.1
+    assert 1 < RepeatedEntries.of(repeated).repetition.rows < 1.1
     np.testing.assert_array_equal(
         with_chance_repeats(repeated).magnetic_field_fresh, repeated.magnetic_field_fresh
     )
@@ -95,7 +103,7 @@ def test_a_sensor_that_is_stuck_at_coarse_steps_has_no_samples() -> None:
     field[2000:2400] = field[2000]
     stuck = with_chance_repeats(reading(recording, field))
     assert stuck.magnetic_field_fresh[:2000].all()
-    assert not stuck.magnetic_field_fresh[2012:2400].any()
+    assert not stuck.magnetic_field_fresh[2016:2400].any()
     found, without = mg.calibrate(stuck), mg.calibrate(recording)
     assert found.covariance is not None
     sigma = np.sqrt(np.diag(found.covariance))[6:9]

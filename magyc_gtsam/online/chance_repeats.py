@@ -21,31 +21,31 @@ class ChanceRepeats:
     def __init__(self) -> None:
         self._so_far = RepeatsSoFar()
         self._last, self._run = np.full(4, np.nan), 0  # the last sample, time and value, and its repeats so far
-        # Entries held back: time, value, repeats of the sample so far, its stamp, entries to a sample.
-        self._held = np.empty((0, 7))
+        # Entries held back: time, value, repeats of the sample so far, its stamp, and the `Repetition`.
+        self._held = np.empty((0, 8))
         self._back = np.empty((0, 2))  # s, repeats to be put back, and the samples that they repeat
         self._passed = np.full(4, -np.inf)  # the last sample that was passed on
 
     def take(self, entries: Samples) -> tuple[Samples, Array]:
         """Return the samples of the next entries, without repeats, and the stamps (n,) s of the repeats."""
         rows = np.vstack([self._held, self._compared(entries)])
-        repeats, each = rows[:, 4] > 0, rows[:, 6]
-        decided, known = len(rows), ~np.isnan(each)
+        repeats, rule = rows[:, 4] > 0, rows[:, 6:]
+        decided, known = len(rows), ~np.isnan(rule[:, 0])
         if repeats.any() and not known[-1]:
             decided = int(repeats.argmax())
         elif not known.all() and known.any():
-            each[~known] = each[known][0]
+            rule[~known] = rule[known][0]
         self._held = rows[decided:]
         rows, repeats = rows[:decided], repeats[:decided]
-        samples = repeats & are_samples(rows[:, 4], rows[:, 6])
+        samples = repeats & are_samples(rows[:, 4], *rows[:, 6:].T)
         self._back = np.vstack([self._back, rows[samples][:, [0, 5]]])
         return Samples(rows[~repeats, 0], rows[~repeats, 1:4]), rows[repeats, 0]
 
     def _compared(self, entries: Samples) -> Array:
-        """Return the next entries as rows (n, 7), compared with those before and counted."""
+        """Return the next entries as rows (n, 8), compared with those before and counted."""
         time, value = entries
         if not len(time):
-            return np.empty((0, 7))
+            return np.empty((0, 8))
         same = np.diff(value, axis=0, prepend=self._last[None, 1:]) == 0
         place = np.arange(len(time))
         fresh = np.maximum.accumulate(np.where(same.all(axis=1), -1, place))  # the last entry that was no repeat

@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording.checks import Array, Mask
-from magyc_gtsam.recording.repeats import due, repeats_so_far, rows_to_sample
+from magyc_gtsam.recording.repeats import due, repeats_so_far, repetition
 
 HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope may be held
 LONGEST_HOLD = 0.2  # s; a rate that repeats for longer is measured: the instrument is at rest
@@ -52,7 +52,7 @@ def fresh_rates(time: Array, rate: Array) -> Mask:
     if 1 - fresh[1:].mean() <= HELD_GYROSCOPE:
         return np.ones(len(time), dtype=bool)
     last_fresh = np.maximum.accumulate(np.where(fresh, time, -np.inf))
-    result: Mask = due(repeats_so_far(fresh), rows_to_sample(time, repeats)) | (time - last_fresh > LONGEST_HOLD)
+    result: Mask = due(repeats_so_far(fresh), repetition(time, repeats).rows) | (time - last_fresh > LONGEST_HOLD)
     return result
 
 

@@ -20,20 +20,20 @@ from magyc_gtsam.recording.repeats import (
     LOCALLY,
     LONGEST_RUN,
     ROWS,
+    Repetition,
     counted,
     due,
     histogram,
     repeat_alone,
     repeats_so_far,
-    rows_of,
-    rows_to_sample,
+    repetition,
+    repetition_of,
     share_held,
 )
 
 HELD = 0.08  # share of entries that exactly repeat the one before, above which they may be held
 _LEFT = 0.7  # share of the repeated entries that chance must not explain: axes that pause together are not held
 _RANDOM = 0.5  # position between the variances of run lengths by a clock (0) and by chance (1)
-LONGEST = 10  # samples in a row that repeat by chance; a sensor that is stuck has more
 _SLOWEST = 30.0  # s after which fewer rows must do in a stream
 _LATEST = 30  # stretches of a stream that count, so that motion soon prevails over a rest before it
 
@@ -45,12 +45,12 @@ class RepeatedEntries:
     Attributes:
         share: share of the entries in which all axes are held, apart from chance repeats of the single axes.
         held: whether the entries are those of a sensor that is polled faster than it measures.
-        rows: entries to a sample (`repeats.rows_to_sample`).
+        repetition: entries to a sample, and the longest run of equal ones by chance.
     """
 
     share: float
     held: bool
-    rows: float
+    repetition: Repetition
 
     @classmethod
     def of(cls, recording: Recording) -> RepeatedEntries:
@@ -62,44 +62,46 @@ class RepeatedEntries:
         share, coarse = share_held(counts), repeat_alone(counts)[0] > ALONE
         unlikely = share > max(HELD, _LEFT * stale)
         held = bool(unlikely and (not coarse or _regular(repeats.all(axis=1))))
-        return cls(share, held, rows_to_sample(recording.time[own], repeats))
+        return cls(share, held, repetition(recording.time[own], repeats))
 
 
 def with_chance_repeats(recording: Recording) -> Recording:
     """Return the recording with those repeated entries as samples that repeat because of coarse steps."""
     fresh, stamped = recording.magnetic_field_fresh, recording.magnetic_field_stamped
-    rows = np.inf if np.array_equal(fresh, stamped) else RepeatedEntries.of(recording).rows
-    if np.isinf(rows):
+    if np.array_equal(fresh, stamped):
+        return recording
+    rule = RepeatedEntries.of(recording).repetition
+    if np.isinf(rule.rows):
         return recording
     samples = stamped.copy()
-    samples[stamped] = are_samples(repeats_so_far(fresh[stamped]), rows)
+    samples[stamped] = are_samples(repeats_so_far(fresh[stamped]), *rule)
     return replace(recording, magnetic_field_fresh=samples)
 
 
-def are_samples(repeat: np.ndarray, rows: float | Array) -> Mask:
-    """Return which entries are samples, given how often each has repeated so far and the entries to a sample.
+def are_samples(repeat: np.ndarray, rows: float | Array, longest: float | Array) -> Mask:
+    """Return which entries are samples, given how often each has repeated so far, and their `Repetition`.
 
-    Of a longer run, which may be that of a sensor that is stuck, only the first `LONGEST` samples are.
+    Of a longer run than chance explains, which may be that of a sensor that is stuck, only the first samples are.
     """
-    return due(repeat, rows) & (repeat <= LONGEST * np.where(np.isinf(rows), 0.0, rows))
+    return due(repeat, rows) & (repeat <= longest)
 
 
 class RepeatsSoFar:
     """The repeats among a magnetometer's entries as they arrive, counted in constant time and memory.
 
     Attributes:
-        rows: as in `RepeatedEntries` for the latest stretches of entries; NaN before the first is over.
+        repetition: of the latest stretches of entries; NaN before the first is over.
     """
 
     def __init__(self) -> None:
-        self.rows = np.nan
+        self.repetition = Repetition(np.nan, np.nan)
         # Counts of the stretches and of the run lengths that ended in them; the same of the stretch that is not over.
         self._counts, self._open = np.empty((0, 5 + LONGEST_RUN)), np.zeros(5 + LONGEST_RUN)
         self._since, self._run = np.nan, 0  # first stamp of this stretch, and length of the run that is not over
 
     def take(self, time: Array, repeats: Mask) -> Array:
-        """Count entries (n,) with the axes (n, 3) that repeat; return `rows` at each, (n,)."""
-        result = np.full(len(time), self.rows)
+        """Count entries (n,) with the axes (n, 3) that repeat; return `repetition` at each, (n, 2)."""
+        result: Array = np.tile(self.repetition, (len(time), 1))
         begin = 0
         while begin < len(time):
             if not self._open[0]:
@@ -114,8 +116,8 @@ class RepeatsSoFar:
             if last < len(time):
                 self._counts = np.vstack([self._counts, self._open])[-_LATEST:]
                 self._open = np.zeros_like(self._open)
-                self.rows = rows_of(self._counts[:, :5], self._counts[:, 5:].sum(axis=0))
-                result[last:] = self.rows
+                self.repetition = repetition_of(self._counts[:, :5], self._counts[:, 5:].sum(axis=0))
+                result[last:] = self.repetition
             begin = last + 1
         return result
 
@@ -127,13 +129,14 @@ class RepeatsSoFar:
 
     def state(self) -> Mapping[str, Array]:
         """Return the state as named arrays, for `restore`."""
-        return {"counts": self._counts, "open": np.array([self.rows, self._since, self._run, *self._open])}
+        return {"counts": self._counts, "open": np.array([*self.repetition, self._since, self._run, *self._open])}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Restore a state that `state` returned."""
         self._counts = state["counts"]
-        self.rows, self._since = (float(v) for v in state["open"][:2])
-        self._run, self._open = int(state["open"][2]), state["open"][3:].copy()
+        rows, longest, self._since = (float(v) for v in state["open"][:3])
+        self.repetition = Repetition(rows, longest)
+        self._run, self._open = int(state["open"][3]), state["open"][4:].copy()
 
 
 def _regular(repeats: Mask) -> bool:

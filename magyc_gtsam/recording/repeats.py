@@ -6,6 +6,8 @@ all of them repeat tell the two apart.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from magyc_gtsam.recording.checks import Array, Mask
@@ -14,9 +16,24 @@ ALONE = 0.1  # share of the entries in which single axes repeat, above which the
 # share of the repeated entries that chance must explain: at coarse steps it does for 0.9 to 1, beside a hold for 0.3
 BY_CHANCE = 0.5
 WHOLE = 0.05  # distance of the entries to a sample from a whole number, within which it is that number
+_SHORT = 10  # equal samples in a row that are believed whatever the share of equal samples
+_UNLIKELY = 1e-6  # share of the samples with longer runs by chance, beyond which the sensor may be stuck
 LONGEST_RUN = 40  # entries; longer runs are counted as this
 LOCALLY = 3.0  # s in which the probability of a repeat hardly changes
 ROWS = 100  # fewest rows from which a share is estimated
+
+
+class Repetition(NamedTuple):
+    """How a sensor's entries repeat.
+
+    Attributes:
+        rows: entries to a sample: 1 if entries repeat because of coarse steps only, more if samples that may equal each
+            other are held as well, inf if the steps are not coarse, so that equal entries are one sample.
+        longest: how often an entry repeats by chance, at most.
+    """
+
+    rows: float
+    longest: float
 
 
 def due(repeat: np.ndarray, rows: float | Array) -> Mask:
@@ -31,28 +48,30 @@ def repeats_so_far(fresh: Mask) -> np.ndarray:
     return place - np.maximum.accumulate(np.where(fresh, place, 0))
 
 
-def rows_to_sample(time: Array, repeats: Mask) -> float:
-    """Return the entries to a sample, given which axes repeat at each of the steps (n − 1, 3) between entries (n,) s.
-
-    It is 1 if entries repeat because of coarse steps only, more if samples that may equal each other are held as well,
-    inf if the steps are not coarse, so that equal entries are one sample.
-    """
-    return rows_of(counted(time, repeats), histogram(np.diff(np.flatnonzero(~repeats.all(axis=1)))))
+def repetition(time: Array, repeats: Mask) -> Repetition:
+    """Return how entries (n,) s repeat, given which axes do at each of the steps (n − 1, 3) between them."""
+    return repetition_of(counted(time, repeats), histogram(np.diff(np.flatnonzero(~repeats.all(axis=1)))))
 
 
-def rows_of(counts: Array, runs: Array) -> float:
-    """Return the entries to a sample, from the counts (k, 5) of stretches and the numbers (L,) of run lengths.
+def repetition_of(counts: Array, runs: Array) -> Repetition:
+    """Return how entries repeat, from the counts (k, 5) of stretches and the numbers (L,) of run lengths.
 
     The share that is held says roughly how many; runs up to that length are of one sample, and their mean is exact.
     """
     if repeat_alone(counts)[1] <= ALONE:
-        return np.inf
-    held = share_held(counts)
-    if held < BY_CHANCE * counts[:, 4].sum() / counts[:, 0].sum():
-        return 1.0
+        return Repetition(np.inf, 0.0)
+    held, stale = share_held(counts), float(counts[:, 4].sum() / counts[:, 0].sum())
+    if held < BY_CHANCE * stale:
+        return Repetition(1.0, _longest(stale))
     of_one: np.ndarray = runs[: int(np.ceil(1 / (1 - held)))]
     rows = float(of_one @ np.arange(1, len(of_one) + 1) / max(of_one.sum(), 1.0))
-    return round(rows) if rows > 1.5 and abs(rows - round(rows)) < WHOLE * rows else rows
+    rows = float(round(rows)) if rows > 1.5 and abs(rows - round(rows)) < WHOLE * rows else rows
+    return Repetition(rows, rows * _longest((stale - held) / (1 - held)))
+
+
+def _longest(equal: float) -> float:
+    """Return the length of the longest run of equal samples by chance, given the share that equals the one before."""
+    return max(_SHORT, float(np.log(_UNLIKELY) / np.log(np.clip(equal, 1e-3, 0.95))))
 
 
 def histogram(runs: np.ndarray) -> Array:

@@ -223,8 +223,8 @@ def lattice(values: Array) -> float:
 def sample_hold(recording: Recording) -> NoiseScore:
     """Test for entries of the magnetometer's log that exactly repeat the one before them (`recording.held`)."""
     repeats, fresh = RepeatedEntries.of(recording), recording.magnetic_field_fresh.sum()
-    rows = (
-        repeats.rows if np.isfinite(repeats.rows) else recording.magnetic_field_stamped.sum() / max(int(fresh), 1)
-    )
+    rows = repeats.repetition.rows
+    if np.isinf(rows):
+        rows = recording.magnetic_field_stamped.sum() / max(int(fresh), 1)
     value, setting = np.array([rows]), {"share": repeats.share}
     return NoiseScore.counted("sample-hold", repeats.share, HELD, repeats.held, value, setting)
