@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import pty
@@ -151,22 +150,16 @@ def test_a_port_that_another_program_has(tmp_path: Path) -> None:
             server.stop()
 
 
-@pytest.mark.parametrize("width", [400])
 def test_in_a_browser_with_a_reload_in_the_middle(
-    tmp_path: Path, browser: Any, lines: list[dict[str, Any]], expected: mg.Calibration, width: int
+    tmp_path: Path, new_page: Callable[..., Any], lines: list[dict[str, Any]], expected: mg.Calibration
 ) -> None:
     """The sphere fills, the verdict changes, a reload loses nothing, and what is copied is what Python exports."""
     port = free_port()
     server = Served(tmp_path)
-    context = browser.new_context(
-        viewport={"width": width, "height": 850}, permissions=["clipboard-read", "clipboard-write"]
-    )
-    context.set_default_timeout(1e3 * PATIENCE)
-    wrong: list[str] = []
+    page = new_page(400)
+    page.set_default_timeout(1e3 * PATIENCE)
     try:
-        page = context.new_page()
         page.add_init_script("felt = 0; navigator.vibrate = () => { felt += 1; };")
-        page.on("pageerror", lambda error: wrong.append(str(error)))
         page.goto(server.address)
         page.locator("[data-tab=live]").click()
         page.locator("#udp-port").fill(str(port))
@@ -189,7 +182,7 @@ def test_in_a_browser_with_a_reload_in_the_middle(
         page.locator("#live-verdict.good").wait_for()
         assert page.evaluate("felt") == 0, "nothing has changed"
         page.locator("#residual", has_text="Undisturbed").wait_for()
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
         duration = lines[-1]["time"] - lines[0]["time"]
         until(server, has(duration))
         page.locator("#freeze").click()
@@ -209,52 +202,36 @@ def test_in_a_browser_with_a_reload_in_the_middle(
         page.locator("#live-verdict.bad p", has_text="none of the 100 samples is used").wait_for()
         assert "begin a new run (Freeze, then New run)" in page.locator("#live-verdict").text_content()
     finally:
-        context.close()
         server.stop()
-    assert wrong == []
 
 
-def test_a_tap_before_the_first_state_has_arrived(idle: Served, browser: Any) -> None:
+def test_a_tap_before_the_first_state_has_arrived(idle: Served, new_page: Callable[..., Any]) -> None:
     """The panel that was tapped stays."""
-    context = browser.new_context()
-    context.set_default_timeout(1e3 * PATIENCE)
-    try:
-        page = context.new_page()
-        held: list[Any] = []
-        page.route("**/api/state", lambda route: held.append(route))
-        with page.expect_request("**/api/state"):
-            page.goto(idle.address)
-        page.locator("[data-tab=live]").click()
-        with page.expect_websocket():  # the last thing that the page does to begin
-            held.pop().continue_()
-        assert page.locator("#begin").is_visible()
-    finally:
-        context.close()
+    page = new_page(400)
+    page.set_default_timeout(1e3 * PATIENCE)
+    held: list[Any] = []
+    page.route("**/api/state", lambda route: held.append(route))
+    with page.expect_request("**/api/state"):
+        page.goto(idle.address)
+    page.locator("[data-tab=live]").click()
+    with page.expect_websocket():  # the last thing that the page does to begin
+        held.pop().continue_()
+    assert page.locator("#begin").is_visible()
 
 
-@contextlib.contextmanager
-def live_panel(server: Served, browser: Any) -> Iterator[Any]:
-    """The live panel of a server's page; fails on errors of the page."""
-    context = browser.new_context(viewport={"width": 400, "height": 850})
-    context.set_default_timeout(1e3 * PATIENCE)
-    wrong: list[str] = []
-    page = context.new_page()
-    page.on("pageerror", lambda error: wrong.append(str(error)))
+def live_panel(server: Served, page: Any) -> Any:
+    """The live panel of a server's page."""
+    page.set_default_timeout(1e3 * PATIENCE)
     page.goto(server.address)
     page.locator("[data-tab=live]").click()
-    try:
-        yield page
-    finally:
-        context.close()
-    assert wrong == []
+    return page
 
 
 @pytest.fixture
-def live_page(tmp_path: Path, browser: Any) -> Iterator[tuple[Any, Served]]:
+def live_page(tmp_path: Path, new_page: Callable[..., Any]) -> Iterator[tuple[Any, Served]]:
     """The live panel of a server of its own."""
     server = Served(tmp_path)
-    with live_panel(server, browser) as page:
-        yield page, server
+    yield live_panel(server, new_page(400)), server
     server.stop()
 
 
@@ -294,21 +271,21 @@ def test_a_serial_port_that_is_named_by_hand(
         os.close(theirs)
 
 
-def test_a_port_is_not_chosen_while_another_is_typed(idle: Served, browser: Any) -> None:
+def test_a_port_is_not_chosen_while_another_is_typed(idle: Served, new_page: Callable[..., Any]) -> None:
     """The list of ports may come late; it fills in a field that nobody is in."""
-    with live_panel(idle, browser) as page:
-        held: list[Any] = []
-        page.route("**/api/ports", lambda route: held.append(route))
-        for focused, value in ((False, "/dev/ttyS0"), (True, "")):
-            page.locator("[data-kind=mavlink]").click()
-            with page.expect_request("**/api/ports"):
-                page.locator("[data-kind=serial]").click()
-            page.locator("#serial-port").fill("")
-            page.locator("#serial-port" if focused else "#baud").focus()
-            page.locator("#ports").evaluate("list => list.replaceChildren()")
-            held.pop().fulfill(json={"ports": ["/dev/ttyS0"]})
-            page.locator("#ports option").wait_for(state="attached")
-            assert page.locator("#serial-port").input_value() == value
+    page = live_panel(idle, new_page(400))
+    held: list[Any] = []
+    page.route("**/api/ports", lambda route: held.append(route))
+    for focused, value in ((False, "/dev/ttyS0"), (True, "")):
+        page.locator("[data-kind=mavlink]").click()
+        with page.expect_request("**/api/ports"):
+            page.locator("[data-kind=serial]").click()
+        page.locator("#serial-port").fill("")
+        page.locator("#serial-port" if focused else "#baud").focus()
+        page.locator("#ports").evaluate("list => list.replaceChildren()")
+        held.pop().fulfill(json={"ports": ["/dev/ttyS0"]})
+        page.locator("#ports option").wait_for(state="attached")
+        assert page.locator("#serial-port").input_value() == value
 
 
 def test_an_autopilot_over_mavlink(live_page: tuple[Any, Served], lines: list[dict[str, Any]]) -> None:
