@@ -31,10 +31,10 @@ def clipped(recording: mg.Recording, share: float) -> mg.Recording:
 
 
 def fed(recording: mg.Recording, **options: Any) -> mg.OnlineCalibrator:
-    """Every row, five seconds at a time."""
+    """Every row, 20 s at a time."""
     online, time = mg.OnlineCalibrator(**options), recording.time
-    for edge in np.arange(0.0, time[-1] + 5, 5.0):
-        rows = slice(*np.searchsorted(time, [edge, edge + 5]))
+    for edge in np.arange(0.0, time[-1] + 20, 20.0):
+        rows = slice(*np.searchsorted(time, [edge, edge + 20]))
         online.update(time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
     return online
 
@@ -136,8 +136,8 @@ def test_a_run_resumed_anywhere(tmp_path: Path) -> None:
     recording = clipped(mg.simulate("wide", 120, seed=1).recording, 0.7)
     expected, online = mg.OnlineCalibrator(), mg.OnlineCalibrator()
     columns = recording.time, recording.magnetic_field, recording.angular_rate
-    for i in range(0, len(recording.time), 61):
-        block = [column[i : i + 61] for column in columns]
+    for i in range(0, len(recording.time), 111):
+        block = [column[i : i + 111] for column in columns]
         expected.update(*block)
         online.update(*block)
         online.save(tmp_path / "state.npz")

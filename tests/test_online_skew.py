@@ -22,11 +22,11 @@ from magyc_gtsam.study.known import skewed
 
 
 def fed(recording: Recording, until: float = np.inf, online: mg.OnlineCalibrator | None = None, **options: object):
-    """Every row, five seconds at a time."""
+    """Every row, ten seconds at a time."""
     online = mg.OnlineCalibrator(**options) if online is None else online
     first = int(np.searchsorted(recording.time, online.taken_until[0], side="right"))
-    for i in range(first, int(np.searchsorted(recording.time, until)), 50):
-        rows = slice(i, i + 50)
+    for i in range(first, int(np.searchsorted(recording.time, until)), 100):
+        rows = slice(i, i + 100)
         online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
     return online
 
