@@ -102,7 +102,7 @@ def test_it_is_said_when_it_speaks_not_only_at_the_next_refit() -> None:
         heard.append(calibration is not None and "the magnetometer's clock gains" in calibration.message)
         swept.append(online._engine._online.belief.drift is not None)  # type: ignore[attr-defined]
 
-    online = feed(mg.OnlineCalibrator(), recording, step=10.0, after=look)
+    online = feed(mg.OnlineCalibrator(), recording, after=look)
     assert heard.index(True) < swept.index(True)
     assert all(heard[heard.index(True) :])
     assert feed(mg.OnlineCalibrator(), recording).calibration.to_dict() == online.calibration.to_dict()

@@ -158,10 +158,10 @@ def test_turns_that_are_not_cut_off_lose_nothing(motion: str) -> None:
     """Clean, held and coarse sensors."""
     time, rate = mg.simulate(motion, seed=0).recording.gyroscope
     for step in (0.0, 3e-4, 1e-3, 3e-3, 0.02):
-        watch = watched(Samples(time, np.round(rate / step) * step if step else rate), 48)
+        watch = watched(Samples(time, np.round(rate / step) * step if step else rate), 480)
         assert cut_off(watch) is None, step
         assert watch.dropped == 0
-    assert cut_off(watched(Samples(time, np.repeat(rate[::3], 3, axis=0)[: len(time)]), 48)) is None
+    assert cut_off(watched(Samples(time, np.repeat(rate[::3], 3, axis=0)[: len(time)]), 480)) is None
 
 
 def test_coarse_noisy_sensors_are_not_taken_for_cut_off() -> None:

@@ -57,8 +57,8 @@ def watched(recording: mg.Recording, field: np.ndarray | None = None, rate: np.n
     watch = Watch()
     field = recording.magnetic_field if field is None else field
     rate = recording.angular_rate if rate is None else rate
-    for i in range(0, len(recording.time), 73):
-        rows = slice(i, i + 73)
+    for i in range(0, len(recording.time), 365):
+        rows = slice(i, i + 365)
         watch.see(recording.time[rows], field[rows], rate[rows])
     return watch
 
@@ -67,9 +67,7 @@ def watched(recording: mg.Recording, field: np.ndarray | None = None, rate: np.n
     ("motion", "sensor", "axis", "axes"),
     [
         ("moderate", "magnetic_field", 0, "x"),
-        ("tiny", "magnetic_field", 0, "x"),
         ("low", "magnetic_field", ALL, "xyz"),
-        ("moderate", "angular_rate", 2, "z"),
         ("tiny", "angular_rate", 2, "z"),
         ("wide", "angular_rate", ALL, "xyz"),
     ],
@@ -212,10 +210,10 @@ def test_real_logs(shared_data: Path) -> None:
         recording = mg.read(log)
         watch = Watch()
         (time, field), (when, rate) = recording.magnetometer, recording.gyroscope
-        for edge in np.arange(recording.time[0], recording.time[-1] + 5, 5.0):
-            rows = slice(*np.searchsorted(time, [edge, edge + 5]))
+        for edge in np.arange(recording.time[0], recording.time[-1] + 20, 20.0):
+            rows = slice(*np.searchsorted(time, [edge, edge + 20]))
             watch.see(time[rows], field[rows], None)
-            rows = slice(*np.searchsorted(when, [edge, edge + 5]))
+            rows = slice(*np.searchsorted(when, [edge, edge + 20]))
             watch.see(when[rows], None, rate[rows])
             assert watch.clipped_field is None, log.name
         assert watch.stuck(recording.duration) == (), log.name
