@@ -168,14 +168,12 @@ def test_only_the_page_that_started_a_job_opens_its_result(
     assert other.locator("#result").is_hidden()
     assert "result" not in shown(other)
 
-    page.set_input_files("#files", {"name": "note.txt", "mimeType": "text/plain", "buffer": b"hello\n1, 2\n"})
-    page.locator("#holds", has_text="cannot be read").wait_for()
+    page.locator("#logs button", has_text=DIVE.name).click()
+    page.locator("#log h2", has_text=DIVE.name).wait_for()
     page.set_input_files("#files", {"name": "void.txt", "mimeType": "text/plain", "buffer": b""})
     page.locator("#problem", has_text="void.txt: the log is empty").wait_for()
     assert page.locator("#result").is_hidden()
     assert "result" not in shown(page)
-    page.locator("#remove").click()
-    page.locator("#log").wait_for(state="hidden")
     while "result" not in shown(page):
         page.go_back()
     page.locator("#result .origin", has_text=file.name).wait_for()
