@@ -107,33 +107,52 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium found; name one in MAGYC_CHROMIUM")
     with api.sync_playwright() as playwright:
         chromium = playwright.chromium.launch(
-            executable_path=path, args=["--no-sandbox", "--disable-gpu", "--disable-software-rasterizer"]
+            executable_path=path,
+            # One process for all pages, as to start one costs more than what a page does.
+            args=["--no-sandbox", "--disable-gpu", "--disable-software-rasterizer"]
+            + ["--renderer-process-limit=1", "--disable-site-isolation-trials"],
         )
         yield chromium
         chromium.close()
 
 
+@pytest.fixture(scope="session")
+def context(browser: Any) -> Any:
+    """The profile of all pages, as each has a process of its own; an empty page keeps that."""
+    made = browser.new_context(permissions=["clipboard-read", "clipboard-write"])
+    made.new_page()
+    return made
+
+
 @pytest.fixture
-def opened(browser: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
+def new_page(context: Any) -> Iterator[Callable[..., Any]]:
+    """A function that gives an empty page; fails on errors of the pages."""
+    wrong: list[str] = []
+
+    def made(width: int, height: int = 850, scheme: str = "light") -> Any:
+        page = context.new_page()
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=scheme)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        return page
+
+    yield made
+    for page in context.pages[1:]:  # those too that pages have opened
+        page.close()
+    assert wrong == []
+
+
+@pytest.fixture
+def opened(new_page: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
     """A function that opens a file and gives the page; fails on requests beyond it and on errors."""
     wrong: list[str] = []
-    contexts = []
 
     def open_page(path: Path, width: int = 1280, scheme: str = "light") -> Any:
-        context = browser.new_context(
-            viewport={"width": width, "height": 900},
-            color_scheme=scheme,
-            permissions=["clipboard-read", "clipboard-write"],
-        )
-        contexts.append(context)
-        page = context.new_page()
+        page = new_page(width, 900, scheme)
         page.on("request", lambda r: r.url.startswith(("file://", "data:")) or wrong.append(f"request {r.url}"))
         page.on("console", lambda m: m.type in ("error", "warning") and wrong.append(f"console {m.text}"))
-        page.on("pageerror", lambda e: wrong.append(f"error {e}"))
         page.goto(path.as_uri())
         return page
 
     yield open_page
-    for context in contexts:
-        context.close()
-    assert not wrong
+    assert wrong == []

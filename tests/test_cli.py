@@ -388,7 +388,7 @@ def test_one_line_for_every_mistake(
 def test_interrupted(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
     """While it reads and fits a log that takes it seconds: the folder for its results is made before it reads."""
     log = tmp_path_factory.mktemp("long") / "log.csv"
-    rows = "".join(f"{0.01 * k:.2f},20e-6,{k % 7}e-6,40e-6,0.1,{k % 5}e-2,0.2\n" for k in range(300_000))
+    rows = "".join(f"{0.01 * k:.2f},20e-6,{k % 7}e-6,40e-6,0.1,{k % 5}e-2,0.2\n" for k in range(100_000))
     log.write_text(f"time,mx,my,mz,gx,gy,gz\n{rows}")
     arguments = [COMMAND, "calibrate", str(log), "-o", "here/there"]
     with subprocess.Popen(

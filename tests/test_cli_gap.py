@@ -396,8 +396,7 @@ def test_page_of_a_closed_gap(opened: Any, late: tuple[mg.Recording, Gap], tmp_p
     assert nats_in_words(max(h.evidence for h in gap.hypotheses)) in text
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1280, "dark")])
 def test_page_of_an_unknown_gap_with_hostile_names(
     opened: Any,
     late: tuple[mg.Recording, Gap],

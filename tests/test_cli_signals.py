@@ -139,22 +139,24 @@ def test_a_file_name_that_is_no_text(log: Path, tmp_path: Path, capfd: pytest.Ca
 
     named = Path(os.fsdecode(os.fsencode(tmp_path) + b"/dive\xff\x1b[31m\n<b>.mcap"))
     named.write_bytes(log.read_bytes())
-    for command in ("calibrate", "compare", "gap"):
-        assert main([command, str(named), "-o", str(tmp_path / command)]) in (0, 1)
+    few = {"calibrate": [], "compare": ["--methods", "smoother,ellipsoid"], "gap": ["--candidates", "timing"]}
+    for command, options in few.items():
+        assert main([command, str(named), *options, "-o", str(tmp_path / command)]) in (0, 1)
         assert "\x1b" not in "".join(capfd.readouterr())
         page = (tmp_path / command / "report.html").read_text("utf-8")
         assert "\x1b" not in page
         assert "<b>.mcap" not in page
-    assert main(["calibrate", "--config", str(tmp_path / "calibrate/configuration.yaml"), "-q"]) in (0, 1, 2)
+    assert main(
+        [
+            "calibrate",
+            "--config",
+            str(tmp_path / "calibrate/configuration.yaml"),
+            "-q",
+            "-o",
+            str(tmp_path / "again"),
+        ]
+    ) in (0, 1, 2)
     assert "internal error" not in "".join(capfd.readouterr())
-
-
-def test_time_to_interrupt(log: Path, tmp_path: Path) -> None:
-    """A process that ignores nothing ends within seconds of being asked."""
-    began = time.monotonic()
-    returned, _ = stopped(log, tmp_path, signal.SIGTERM, 0.8)
-    assert returned in (0, 1, 143, -signal.SIGTERM)
-    assert time.monotonic() - began < 60
 
 
 def test_a_directory_of_a_run_killed_before_it_had_its_lock_is_removed(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Margina
 from magyc_gtsam.recording import Samples
 
 
-def feed(online, recording, step=5.0, start=-np.inf, end=np.inf, after=None):
+def feed(online, recording, step=20.0, start=-np.inf, end=np.inf, after=None):
     """Each sensor's own samples, `step` seconds at a time."""
     mag, gyro = recording.magnetometer, recording.gyroscope
     for edge in np.arange(recording.time[0], recording.time[-1] + step, step):
@@ -40,7 +40,7 @@ def distance(calibration, batch):
     return np.abs((vector(calibration) - vector(batch)) / np.sqrt(np.diag(batch.covariance))).max()
 
 
-@pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
+@pytest.mark.parametrize("motion", ["wide", "moderate", "tiny"])
 def test_the_end_result_is_that_of_the_batch(motion, monkeypatch):
     recording = simulate(motion, duration=200, seed=3).recording
     online, batch = feed(OnlineCalibrator(), recording), calibrate(recording)
@@ -58,7 +58,7 @@ def test_the_end_result_is_that_of_the_batch(motion, monkeypatch):
 
 
 def test_how_the_samples_are_cut_does_not_matter():
-    recording = simulate("low", duration=150, seed=1).recording
+    recording = simulate("low", duration=100, seed=1).recording
     single, table = OnlineCalibrator(), OnlineCalibrator()
     for time, field, rate in zip(recording.time, recording.magnetic_field, recording.angular_rate, strict=True):
         single.update(time, field, rate)
@@ -84,7 +84,7 @@ def test_a_resumed_run_continues_bit_for_bit(tmp_path, options):
     expected = feed(OnlineCalibrator(**options), recording)
     path = tmp_path / "online.npz"
     online = OnlineCalibrator(**options)
-    for rows in np.array_split(np.arange(len(recording.time)), 19):
+    for rows in np.array_split(np.arange(len(recording.time)), 9):
         online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
         online.save(path)
         online = OnlineCalibrator.load(path)
@@ -99,7 +99,12 @@ def test_what_is_given_up_is_not_lost():
     recording = simulate("wide", duration=900, seed=0).recording
     kept = []
     online = OnlineCalibrator(horizon=480.0)
-    feed(online, recording, after=lambda _: kept.append(len(online._engine._online.buffer.magnetometer.time)))
+    feed(
+        online,
+        recording,
+        step=5.0,
+        after=lambda _: kept.append(len(online._engine._online.buffer.magnetometer.time)),
+    )
     assert max(kept) < 5000
     assert max(kept[110:]) < 1100
     batch = calibrate(recording)
@@ -335,7 +340,7 @@ def test_files_that_hold_no_state(tmp_path):
 def test_real_recordings_end_as_in_the_batch(shared_data, name, start, end):
     """The phone's hard iron is ten times the field."""
     recording = read(shared_data / name).between(start, end)
-    online = feed(OnlineCalibrator(), recording, step=2.0)
+    online = feed(OnlineCalibrator(), recording)
     assert online.calibration.converged
     assert online.changes == ()
     assert distance(online.calibration, calibrate(recording)) < 0.05

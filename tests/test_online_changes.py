@@ -40,7 +40,7 @@ def test_a_step_is_found_timed_and_estimated(motion, at, step):
     recording = with_step(simulation, at, step)
     when = []
     online = OnlineCalibrator()
-    feed(online, recording, step=2.0, after=lambda t: when.append(t) if online.changes else None)
+    feed(online, recording, step=2.0, after=lambda t: when or (online.changes and when.append(t)))
     assert len(online.changes) == 1
     change = online.changes[0]
     assert when[0] < at + 30
@@ -66,7 +66,7 @@ def test_steel_changes_the_soft_iron_with_the_hard_iron():
     later = recording.time >= 200
     expected = truth.hard_iron + np.array([1.0, 2.0, -1.0]) * MICROTESLA
     field[later] = (field[later] - truth.hard_iron) @ steel.T + expected
-    online = feed(OnlineCalibrator(), replace(recording, magnetic_field=field), step=5.0)
+    online = feed(OnlineCalibrator(), replace(recording, magnetic_field=field))
     assert len(online.changes) == 1
     assert online.calibration.trusted
     off = online.calibration.hard_iron - expected
@@ -87,7 +87,7 @@ def test_a_step_that_is_recognised_late_is_timed_all_the_same():
     when = []
     online = OnlineCalibrator()
     recording = with_step(simulate("low", duration=290, seed=3092), at, step)
-    feed(online, recording, step=1.0, after=lambda t: when.append(t) if online.changes else None)
+    feed(online, recording, step=1.0, after=lambda t: when or (online.changes and when.append(t)))
     assert when[0] > at + 20
     change = online.changes[0]
     assert abs(change.time - at) < 3 * change.time_sigma < 6
@@ -187,7 +187,7 @@ def test_a_step_of_the_size_of_the_field_is_found():
     """It is far from linear, and must not be rejected as a disturbance for what the first estimate leaves of it."""
     step = np.array([7.7, -42.3, -25.6]) * MICROTESLA
     simulation = simulate("low", duration=400, seed=100)
-    online = feed(OnlineCalibrator(), with_step(simulation, 363.6, step), step=2.0)
+    online = feed(OnlineCalibrator(), with_step(simulation, 363.6, step))
     (change,) = online.changes
     assert abs(change.time - 363.6) < 0.1 + 4 * change.time_sigma
     assert (np.abs(change.step - step) < 5 * change.step_sigma).all()
@@ -199,7 +199,7 @@ def test_no_fit_of_all_windows_comes_between_a_step_and_its_decision():
     rng = np.random.default_rng([101, 50, 50])
     step = rng.standard_normal(3)
     step *= 50e-6 / np.linalg.norm(step)
-    online = feed(OnlineCalibrator(), with_step(simulation, 202.5, step), step=2.0)
+    online = feed(OnlineCalibrator(), with_step(simulation, 202.5, step))
     (change,) = online.changes
     assert abs(change.time - 202.5) < 0.1 + 4 * change.time_sigma
     assert (np.abs(change.step - step) < 5 * change.step_sigma).all()
@@ -226,7 +226,7 @@ def test_a_fit_that_follows_one_that_did_not_fit_is_not_converged():
     """Readings that wrap leave several minima; in one log a trusted fit, 5 µT off, follows one that does not fit."""
     fault = FAULTS["wrapping-full-scale"]
     log = record("wide", 35008, fault, fault.strong, "wrapping-full-scale")
-    assert not feed(OnlineCalibrator(), log.recording("wraps"), step=2.0).converged
+    assert not feed(OnlineCalibrator(), log.recording("wraps")).converged
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +241,7 @@ def test_a_magnet_attached_by_hand_and_taken_off(magnet):
     """Before anything has converged, and again when it has."""
     recording, with_magnet, without = magnet
     start = recording.time[0]
-    online = feed(OnlineCalibrator(), recording, step=2.0)
+    online = feed(OnlineCalibrator(), recording)
     attached, removed = online.changes
     # With the optical attitude, the magnet's field is seen to rise at 38.1 s, after 37.7 and up to 40.3 s, and to
     # fall at 95.0 s, from 94.1 s to 95.5 s.

@@ -66,8 +66,8 @@ def test_a_run_resumed_anywhere(tmp_path: Path) -> None:
     log = cut(mg.simulate("wide", 120, seed=1).recording, 0.2)
     expected, online = mg.OnlineCalibrator(), mg.OnlineCalibrator()
     expected.update(log.time, log.magnetic_field, log.angular_rate)
-    for i in range(0, len(log.time), 97):
-        online.update(*(column[i : i + 97] for column in (log.time, log.magnetic_field, log.angular_rate)))
+    for i in range(0, len(log.time), 197):
+        online.update(*(column[i : i + 197] for column in (log.time, log.magnetic_field, log.angular_rate)))
         online.save(tmp_path / "state.npz")
         online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
     assert online.progress == expected.progress

@@ -116,7 +116,7 @@ def test_a_copy_by_pickle_goes_on_alike(method: str) -> None:
 
 def test_threads_take_turns() -> None:
     """One thread per sensor: a block that both wrote back at once lost the stamps of the other."""
-    recording = mg.simulate("wide", 30, 50, seed=5).recording
+    recording = mg.simulate("wide", 20, 50, seed=5).recording
     online, together = mg.OnlineCalibrator(), threading.Barrier(2)
 
     def give(sensor: str) -> None:

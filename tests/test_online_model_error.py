@@ -17,8 +17,8 @@ def test_online_states_the_same_model_error(tmp_path: Path) -> None:
     recording = record("wide", 0, fault, fault.strong, "turned-gyroscope").recording("turned")
     batch = mg.calibrate(recording, misalignment=0)
     online = mg.OnlineCalibrator(horizon=400.0, misalignment=0)
-    for i in range(0, 6000, 50):
-        rows = slice(i, i + 50)
+    for i in range(0, 6000, 250):
+        rows = slice(i, i + 250)
         online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
         if i == 5500:
             online.save(tmp_path / "state.npz")

@@ -14,6 +14,7 @@ from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
+from magyc_gtsam.io import write_mcap
 from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation.sensor import SOFT_IRON
@@ -22,11 +23,11 @@ from magyc_gtsam.study.known import skewed
 
 
 def fed(recording: Recording, until: float = np.inf, online: mg.OnlineCalibrator | None = None, **options: object):
-    """Every row, five seconds at a time."""
+    """Every row, ten seconds at a time."""
     online = mg.OnlineCalibrator(**options) if online is None else online
     first = int(np.searchsorted(recording.time, online.taken_until[0], side="right"))
-    for i in range(first, int(np.searchsorted(recording.time, until)), 50):
-        rows = slice(i, i + 50)
+    for i in range(first, int(np.searchsorted(recording.time, until)), 100):
+        rows = slice(i, i + 100)
         online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
     return online
 
@@ -121,7 +122,8 @@ def test_a_skew_that_no_board_has_is_not_believed_online_either() -> None:
 def test_the_command_takes_them(tmp_path: Path) -> None:
     earlier = mg.calibrate(mg.simulate("wide", 120, seed=9).recording)
     earlier.save(tmp_path / "earlier.yaml")
-    log = Path(__file__).parent.parent / "datasets" / "calibration_dive.mcap"
+    log = tmp_path / "log.mcap"
+    write_mcap(log, mg.simulate("dive", 120, seed=10).recording)
     said = f"online {log} -o {tmp_path}/now.yaml --state {tmp_path}/state.npz --idle 0 --quiet --misalignment 0.5"
     said += f" --prior {tmp_path}/earlier.yaml --hard-iron-walk 40 --location 47.5 19 --date 2026-03-01"
     assert cli.main(said.split()) in (0, 1)

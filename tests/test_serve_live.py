@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import pty
@@ -151,111 +150,89 @@ def test_a_port_that_another_program_has(tmp_path: Path) -> None:
             server.stop()
 
 
-@pytest.mark.parametrize("width", [400])
 def test_in_a_browser_with_a_reload_in_the_middle(
-    tmp_path: Path, browser: Any, lines: list[dict[str, Any]], expected: mg.Calibration, width: int
+    live_page: tuple[Any, Served], lines: list[dict[str, Any]], expected: mg.Calibration
 ) -> None:
     """The sphere fills, the verdict changes, a reload loses nothing, and what is copied is what Python exports."""
-    port = free_port()
-    server = Served(tmp_path)
-    context = browser.new_context(
-        viewport={"width": width, "height": 850}, permissions=["clipboard-read", "clipboard-write"]
+    (page, server), port = live_page, free_port()
+    page.locator("#udp-port").fill(str(port))
+    page.locator("#begin").click()
+    page.locator("#live-verdict h1", has_text="Waiting for samples").wait_for()
+    listened_to(port)
+    send_lines(port, lines[:600])
+    page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
+    page.locator("#map .seen").nth(3).wait_for()
+    assert (
+        page.locator("#vehicle svg").get_attribute("aria-label")
+        in page.locator("#move .worth").text_content().lower()
     )
-    context.set_default_timeout(1e3 * PATIENCE)
-    wrong: list[str] = []
-    try:
-        page = context.new_page()
-        page.add_init_script("felt = 0; navigator.vibrate = () => { felt += 1; };")
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.goto(server.address)
-        page.locator("[data-tab=live]").click()
-        page.locator("#udp-port").fill(str(port))
-        page.locator("#begin").click()
-        page.locator("#live-verdict h1", has_text="Waiting for samples").wait_for()
-        listened_to(port)
-        send_lines(port, lines[:600])
-        page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
-        page.locator("#map .seen").nth(3).wait_for()
-        assert (
-            page.locator("#vehicle svg").get_attribute("aria-label")
-            in page.locator("#move .worth").text_content().lower()
-        )
-        page.reload()
-        page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
-        send_lines(port, lines[600:])
-        page.locator("#live-verdict.good").wait_for()
-        assert page.evaluate("felt") == 1
-        page.reload()
-        page.locator("#live-verdict.good").wait_for()
-        assert page.evaluate("felt") == 0, "nothing has changed"
-        page.locator("#residual", has_text="Undisturbed").wait_for()
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        duration = lines[-1]["time"] - lines[0]["time"]
-        until(server, has(duration))
-        page.locator("#freeze").click()
-        page.locator("#live-result").click()
-        page.locator("#result header.good").wait_for()
-        page.locator(".export", has_text="PX4").locator("button").click()
-        page.locator(".export button", has_text="Copied").wait_for()
-        assert page.evaluate("navigator.clipboard.readText()") == expected.export("px4")
-        (file,) = tmp_path.glob("results/*/online-calibration.yaml")
-        same(file, expected)
+    page.reload()
+    page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
+    send_lines(port, lines[600:])
+    page.locator("#live-verdict.good").wait_for()
+    assert page.evaluate("felt") == 1
+    page.reload()
+    page.locator("#live-verdict.good").wait_for()
+    assert page.evaluate("felt") == 0, "nothing has changed"
+    page.locator("#residual", has_text="Undisturbed").wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 400
+    duration = lines[-1]["time"] - lines[0]["time"]
+    until(server, has(duration))
+    page.locator("#freeze").click()
+    page.locator("#live-result").click()
+    page.locator("#result header.good").wait_for()
+    page.locator(".export", has_text="PX4").locator("button").click()
+    page.locator(".export button", has_text="Copied").wait_for()
+    assert page.evaluate("navigator.clipboard.readText()") == expected.export("px4")
+    same(calibration_of(server), expected)
 
-        page.locator("#continue").click()
-        listened_to(port)
-        # A sensor that was switched off counts from its start again.
-        again = [{**line, "magnetic_field": [value + 5e-6 for value in line["magnetic_field"]]} for line in lines]
-        send_lines(port, again[:50])
-        page.locator("#live-verdict.bad p", has_text="none of the 100 samples is used").wait_for()
-        assert "begin a new run (Freeze, then New run)" in page.locator("#live-verdict").text_content()
-    finally:
-        context.close()
-        server.stop()
-    assert wrong == []
+    page.locator("#continue").click()
+    listened_to(port)
+    # A sensor that was switched off counts from its start again.
+    again = [{**line, "magnetic_field": [value + 5e-6 for value in line["magnetic_field"]]} for line in lines]
+    send_lines(port, again[:50])
+    page.locator("#live-verdict.bad p", has_text="none of the 100 samples is used").wait_for()
+    assert "begin a new run (Freeze, then New run)" in page.locator("#live-verdict").text_content()
 
 
-def test_a_tap_before_the_first_state_has_arrived(idle: Served, browser: Any) -> None:
+def test_a_tap_before_the_first_state_has_arrived(idle: Served, new_page: Callable[..., Any]) -> None:
     """The panel that was tapped stays."""
-    context = browser.new_context()
-    context.set_default_timeout(1e3 * PATIENCE)
-    try:
-        page = context.new_page()
-        held: list[Any] = []
-        page.route("**/api/state", lambda route: held.append(route))
-        with page.expect_request("**/api/state"):
-            page.goto(idle.address)
-        page.locator("[data-tab=live]").click()
-        with page.expect_websocket():  # the last thing that the page does to begin
-            held.pop().continue_()
-        assert page.locator("#begin").is_visible()
-    finally:
-        context.close()
+    page = new_page(400)
+    page.set_default_timeout(1e3 * PATIENCE)
+    held: list[Any] = []
+    page.route("**/api/state", lambda route: held.append(route))
+    with page.expect_request("**/api/state"):
+        page.goto(idle.address)
+    page.locator("[data-tab=live]").click()
+    with page.expect_websocket():  # the last thing that the page does to begin
+        held.pop().continue_()
+    assert page.locator("#begin").is_visible()
 
 
-@contextlib.contextmanager
-def live_panel(server: Served, browser: Any) -> Iterator[Any]:
-    """The live panel of a server's page; fails on errors of the page."""
-    context = browser.new_context(viewport={"width": 400, "height": 850})
-    context.set_default_timeout(1e3 * PATIENCE)
-    wrong: list[str] = []
-    page = context.new_page()
-    page.on("pageerror", lambda error: wrong.append(str(error)))
+def live_panel(server: Served, page: Any) -> Any:
+    """The live panel of a server's page."""
+    page.set_default_timeout(1e3 * PATIENCE)
     page.goto(server.address)
     page.locator("[data-tab=live]").click()
-    try:
-        yield page
-    finally:
-        context.close()
-    assert wrong == []
+    return page
+
+
+@pytest.fixture(scope="module")
+def live_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    server = Served(tmp_path_factory.mktemp("live"))
+    yield server
+    assert "Traceback" not in server.stop()
 
 
 @pytest.fixture
-def live_page(tmp_path: Path, browser: Any) -> Iterator[tuple[Any, Served]]:
-    """The live panel of a server of its own."""
-    server = Served(tmp_path)
-    with live_panel(server, browser) as page:
-        yield page, server
-    server.stop()
+def live_page(live_server: Served, new_page: Callable[..., Any]) -> tuple[Any, Served]:
+    """The live panel of a server, before a new run."""
+    page = new_page(400)
+    page.add_init_script("felt = 0; navigator.vibrate = () => { felt += 1; };")
+    live_panel(live_server, page)
+    if live_server.ask("POST", "/api/live", {"do": "freeze"})[1]["state"] != "none":
+        page.locator("#another").click()
+    return page, live_server
 
 
 def frozen_result(page: Any, server: Served, duration: float) -> Path:
@@ -263,8 +240,13 @@ def frozen_result(page: Any, server: Served, duration: float) -> Path:
     until(server, has(duration))
     page.locator("#freeze").click()
     page.locator("#live-result").wait_for()
-    (file,) = server.folder.glob("results/*/online-calibration.yaml")
-    return file
+    return calibration_of(server)
+
+
+def calibration_of(server: Served) -> Path:
+    """The file of the live run."""
+    result = server.ask("GET", "/api/state")[1]["live"]["result"]
+    return server.folder / "results" / result / "online-calibration.yaml"
 
 
 @pytest.mark.skipif(not Path("/proc/tty/drivers").exists(), reason="ports that are not listed are told by Linux")
@@ -294,21 +276,21 @@ def test_a_serial_port_that_is_named_by_hand(
         os.close(theirs)
 
 
-def test_a_port_is_not_chosen_while_another_is_typed(idle: Served, browser: Any) -> None:
+def test_a_port_is_not_chosen_while_another_is_typed(idle: Served, new_page: Callable[..., Any]) -> None:
     """The list of ports may come late; it fills in a field that nobody is in."""
-    with live_panel(idle, browser) as page:
-        held: list[Any] = []
-        page.route("**/api/ports", lambda route: held.append(route))
-        for focused, value in ((False, "/dev/ttyS0"), (True, "")):
-            page.locator("[data-kind=mavlink]").click()
-            with page.expect_request("**/api/ports"):
-                page.locator("[data-kind=serial]").click()
-            page.locator("#serial-port").fill("")
-            page.locator("#serial-port" if focused else "#baud").focus()
-            page.locator("#ports").evaluate("list => list.replaceChildren()")
-            held.pop().fulfill(json={"ports": ["/dev/ttyS0"]})
-            page.locator("#ports option").wait_for(state="attached")
-            assert page.locator("#serial-port").input_value() == value
+    page = live_panel(idle, new_page(400))
+    held: list[Any] = []
+    page.route("**/api/ports", lambda route: held.append(route))
+    for focused, value in ((False, "/dev/ttyS0"), (True, "")):
+        page.locator("[data-kind=mavlink]").click()
+        with page.expect_request("**/api/ports"):
+            page.locator("[data-kind=serial]").click()
+        page.locator("#serial-port").fill("")
+        page.locator("#serial-port" if focused else "#baud").focus()
+        page.locator("#ports").evaluate("list => list.replaceChildren()")
+        held.pop().fulfill(json={"ports": ["/dev/ttyS0"]})
+        page.locator("#ports option").wait_for(state="attached")
+        assert page.locator("#serial-port").input_value() == value
 
 
 def test_an_autopilot_over_mavlink(live_page: tuple[Any, Served], lines: list[dict[str, Any]]) -> None:

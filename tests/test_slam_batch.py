@@ -1,4 +1,4 @@
-"""Levenberg–Marquardt over 4,000 poses with blocks of magnetometer samples: native factors scale with the graph."""
+"""Levenberg–Marquardt over 2,500 poses with blocks of magnetometer samples: native factors scale with the graph."""
 
 import gtsam
 import numpy as np
@@ -7,7 +7,7 @@ from gtsam.symbol_shorthand import A, H, X
 
 from magyc_gtsam.factors import KeyframeField, NativeFactors, keyframe_field_factor, unvech
 
-POSES, EVERY, STEP = 4_000, 50, 0.25  # s between poses
+POSES, EVERY, STEP = 2_500, 50, 0.25  # s between poses
 FIELD, UNIT, SIGMA = np.array([21e-6, 3e-6, 44e-6]), 50e-6, 0.5e-6
 ODOMETRY = gtsam.noiseModel.Diagonal.Sigmas(np.r_[2e-3, 2e-3, 2e-3, 0.02, 0.02, 0.02])
 SOFT_IRON, HARD_IRON = np.array([1.08, 0.02, -0.03, 0.94, 0.01, 1.03]), np.array([0.3, -0.2, 0.1])

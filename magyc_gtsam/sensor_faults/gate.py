@@ -50,6 +50,8 @@ class SampleGate:
 
     def take(self, block: Samples) -> Samples:
         """Return the usable samples of this block and of those held back before."""
+        if not len(block.time) and not len(self._held):
+            return block
         self.detector.observe(block)
         self.taken += len(block.time)
         if not len(self._held) and self.detector.pending == np.inf and not self.detector.rejects(block.time).any():
