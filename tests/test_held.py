@@ -123,3 +123,21 @@ def test_a_coarse_gyroscope_on_a_slow_ship_makes_no_delay(times: int, step: floa
     assert (log.angular_rate_fresh != (rows % times == 0)).mean() < 0.01
     found = mg.calibrate(log)
     assert abs(found.delay) < 2 * found.delay_sigma
+
+
+@pytest.mark.parametrize("step", [None, 4e-3])
+@pytest.mark.parametrize("apart", [0.0, 1e-3])
+def test_a_gyroscope_that_is_held_in_a_stream_of_its_own(apart: float, step: float | None) -> None:
+    """A table and two topics of the same log are the same samples; each entry at its stamp is 17 ms late."""
+    options = {"rate": 60.0, "magnetometer_noise": 0.1e-6, "gyroscope_noise": 3e-4}
+    recording = mg.simulate("low", duration=120, seed=401, **options).recording
+    assert recording.angular_rate is not None
+    rate = recording.angular_rate[np.arange(len(recording.time)) // 3 * 3]
+    rate = rate if step is None else np.round(rate / step) * step
+    streams = mg.Recording.from_streams((recording.time, recording.magnetic_field), (recording.time + apart, rate))
+    assert len(streams.gyroscope.time) == pytest.approx(len(rate) / 3, rel=0.01)
+    found = mg.calibrate(streams)
+    assert abs(found.delay + apart) < 2.5 * found.delay_sigma
+    if not apart:
+        table = mg.calibrate(mg.Recording(recording.time, recording.magnetic_field, rate))
+        np.testing.assert_allclose(found.hard_iron, table.hard_iron, rtol=0, atol=1e-9)

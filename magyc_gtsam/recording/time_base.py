@@ -20,6 +20,7 @@ from magyc_gtsam.recording.checks import (
     unit_quaternions,
     without_no_values,
 )
+from magyc_gtsam.recording.freshness import fresh_rates
 from magyc_gtsam.recording.pauses import known_at
 from magyc_gtsam.recording.stamps import is_calendar, origin_of, seconds
 
@@ -48,6 +49,8 @@ def unite(
     clean = {k: _stream(k, v, 3, clock) for k, v in streams.items() if v is not None}
     first = max(t[0] for t, _ in clean.values())
     last = min(t[-1] for t, _ in clean.values())
+    if "angular_rate" in clean and angular_rate_is == "instant":
+        clean["angular_rate"] = _without_held(*clean["angular_rate"])
     if last <= first:
         spans = ", ".join(f"{k} {t[0]:.3f} to {t[-1]:.3f} s" for k, (t, _) in clean.items())
         raise MagycError(
@@ -105,6 +108,12 @@ def unite(
     if attitude is not None:
         result["attitude"] = _slerp(time, *_stream("attitude", attitude, 4, clock))
     return result
+
+
+def _without_held(time: Array, rate: Array) -> tuple[Array, Array]:
+    """Return the samples of a gyroscope without entries that only repeat the one before, if it is held."""
+    samples = fresh_rates(time, rate)
+    return (time, rate) if samples.all() else (time[samples], rate[samples])
 
 
 class _Clock(NamedTuple):
