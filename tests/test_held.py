@@ -45,6 +45,12 @@ def test_the_coarser_the_steps_the_longer_are_runs_that_are_samples() -> None:
     assert with_chance_repeats(coarse).magnetic_field_fresh.mean() > 0.99
 
 
+def test_of_three_rows_none_says_how_many_make_a_sample() -> None:
+    rate = np.array([[1.0, 2, 3], [1, 4, 5], [1, 4, 5]])
+    log = mg.Recording(0.1 * np.arange(3), slow(1).magnetic_field[:3], rate)
+    assert log.angular_rate_fresh.tolist() == [True, True, False]
+
+
 @pytest.mark.parametrize("times", [2, 4])
 def test_a_hold_is_left_out(times: int) -> None:
     recording = slow(1)

@@ -63,8 +63,10 @@ def repetition_of(counts: Array, runs: Array) -> Repetition:
     held, stale = share_held(counts), float(counts[:, 4].sum() / counts[:, 0].sum())
     if held < BY_CHANCE * stale:
         return Repetition(1.0, _longest(stale))
-    of_one: np.ndarray = runs[: int(np.ceil(1 / (1 - held)))]
-    rows = float(of_one @ np.arange(1, len(of_one) + 1) / max(of_one.sum(), 1.0))
+    of_one: np.ndarray = runs[: int(np.ceil(1 / max(1 - held, 1 / LONGEST_RUN)))]
+    if not of_one.any() or held > 1 - 1 / LONGEST_RUN:  # too few entries, or hardly any that change
+        return Repetition(np.inf, 0.0)
+    rows = float(of_one @ np.arange(1, len(of_one) + 1) / of_one.sum())
     rows = float(round(rows)) if rows > 1.5 and abs(rows - round(rows)) < WHOLE * rows else rows
     return Repetition(rows, rows * _longest((stale - held) / (1 - held)))
 
