@@ -118,7 +118,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def context(browser: Any) -> Any:
-    """The profile of all pages, as each has a process of its own; an empty page keeps that."""
+    """The browser profile that all pages share, so that one process draws them; an empty page keeps it running."""
     made = browser.new_context(permissions=["clipboard-read", "clipboard-write"])
     made.new_page()
     return made

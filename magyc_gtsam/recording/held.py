@@ -26,7 +26,6 @@ from magyc_gtsam.recording.repeats import (
     histogram,
     repeat_alone,
     repeats_so_far,
-    repetition,
     repetition_of,
     share_held,
 )
@@ -59,10 +58,12 @@ class RepeatedEntries:
         stale = float((~recording.magnetic_field_fresh[own]).mean())
         repeats = np.diff(recording.magnetic_field[own], axis=0) == 0
         counts = counted(recording.time[own], repeats)
+        runs = np.diff(np.flatnonzero(~repeats.all(axis=1)))
+        # Of all entries: a clean hold of four rows and more is no coarse sensor, though its samples may be.
         share, coarse = share_held(counts), repeat_alone(counts)[0] > ALONE
         unlikely = share > max(HELD, _LEFT * stale)
         held = bool(unlikely and (not coarse or _regular(repeats.all(axis=1))))
-        return cls(share, held, repetition(recording.time[own], repeats))
+        return cls(share, held, repetition_of(counts, histogram(runs)))
 
 
 def with_chance_repeats(recording: Recording) -> Recording:

@@ -14,8 +14,8 @@ from magyc_gtsam.recording.checks import Array, Mask
 
 ALONE = 0.1  # share of the entries in which single axes repeat, above which the steps are coarse
 # share of the repeated entries that chance must explain: at coarse steps it does for 0.9 to 1, beside a hold for 0.3
-BY_CHANCE = 0.5
-WHOLE = 0.05  # distance of the entries to a sample from a whole number, within which it is that number
+_BY_CHANCE = 0.5
+_WHOLE = 0.05  # share of the entries to a sample by which they may differ from a whole number, and be that number
 _SHORT = 10  # equal samples in a row that are believed whatever the share of equal samples
 _UNLIKELY = 1e-6  # share of the samples with longer runs by chance, beyond which the sensor may be stuck
 LONGEST_RUN = 40  # entries; longer runs are counted as this
@@ -61,13 +61,13 @@ def repetition_of(counts: Array, runs: Array) -> Repetition:
     if repeat_alone(counts)[1] <= ALONE:
         return Repetition(np.inf, 0.0)
     held, stale = share_held(counts), float(counts[:, 4].sum() / counts[:, 0].sum())
-    if held < BY_CHANCE * stale:
+    if held < _BY_CHANCE * stale:
         return Repetition(1.0, _longest(stale))
     of_one: np.ndarray = runs[: int(np.ceil(1 / max(1 - held, 1 / LONGEST_RUN)))]
     if not of_one.any() or held > 1 - 1 / LONGEST_RUN:  # too few entries, or hardly any that change
         return Repetition(np.inf, 0.0)
     rows = float(of_one @ np.arange(1, len(of_one) + 1) / of_one.sum())
-    rows = float(round(rows)) if rows > 1.5 and abs(rows - round(rows)) < WHOLE * rows else rows
+    rows = float(round(rows)) if rows > 1.5 and abs(rows - round(rows)) < _WHOLE * rows else rows
     return Repetition(rows, rows * _longest((stale - held) / (1 - held)))
 
 
