@@ -15,7 +15,9 @@ from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects.term import measured
 from magyc_gtsam.gap.model.refit import spread
 from magyc_gtsam.gap.samples.coarse import rounding
-from magyc_gtsam.simulation import MILLIGAUSS
+from magyc_gtsam.simulation import HARD_IRON, MILLIGAUSS
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.signals import record
 
 
 def test_what_rounding_adds_on_average() -> None:
@@ -114,6 +116,30 @@ def test_a_fast_hand_finds_plates_beside_a_delay() -> None:
     expected = np.zeros(8)
     expected[[2, 6]] = 2.0
     np.testing.assert_allclose(found["eddy-plane"].value, expected, atol=0.3)
+
+
+def test_a_thick_plate_whose_currents_decay_slowly() -> None:
+    """A third of the field across a plate, late by 0.5 s in a study of faults that shares no code with the model."""
+    fault = FAULTS["eddy-currents"]
+    log = record("low", 35011, fault, fault.strong, "eddy-currents")
+    gap = mg.find_gap(log.recording("plate"), candidates=["eddy-plane", "hysteresis", "timing", "cubic"])
+    assert [effect.name for effect in gap.effects] == ["eddy-plane"], gap.sentence
+    assert "and decay in about" in gap.effects[0].sentence
+    found = gap.calibration
+    off = np.abs(found.hard_iron - HARD_IRON) / np.sqrt(np.diag(found.covariance)[6:9])
+    assert off.max() < 3  # 5.8 with currents that follow the change at once
+
+
+def test_currents_that_decay_are_those_of_a_change_before() -> None:
+    """A field that changes evenly since long ago drives the same currents with a decay as without."""
+    time = np.arange(0.0, 5.0, 0.1)
+    changing = Signals(time, field_rate=np.tile([[1.0], [2.0], [-1.0]], (1, 50)))
+    jumping = Signals(time, field_rate=np.where(time < 2.0, 0.0, [[1.0], [2.0], [-1.0]]))
+    plate, slow = {"x": 0.0, "y": 1.0, "z": 0.0}, {"x": 0.0, "y": 1.0, "z": 0.0, "lag": 0.5}
+    columns = FORMS["eddy-plane"].columns
+    np.testing.assert_allclose(columns(changing, slow), columns(changing, plate), atol=1e-12)
+    late = columns(jumping, slow)[0, 0, time >= 2.0]
+    np.testing.assert_allclose(late[5:], -2 * (1 - np.exp(-(time[25:] - 1.95) / 0.5)), atol=0.02)
 
 
 def test_a_strong_step_stays_beside_weak_ones() -> None:

@@ -54,7 +54,7 @@ def beyond_reference(channel: Array, setting: Setting) -> Array:
 def motor_current(s: Signals, setting: Setting) -> Array:
     """Return the columns of a current, or of one that follows it by `lag` s."""
     current = beyond_reference(s.need("current"), setting)
-    return per_axis(_lagged(s.need("time"), current, setting["lag"]) if "lag" in setting else current)
+    return per_axis(lagged(s.need("time"), current, setting["lag"]) if "lag" in setting else current)
 
 
 def temperature(s: Signals, setting: Setting) -> Array:
@@ -62,10 +62,10 @@ def temperature(s: Signals, setting: Setting) -> Array:
     response.
     """
     warm = beyond_reference(s.need("temperature"), setting)
-    return per_axis(_lagged(s.need("time"), warm, setting.get("lag", 0.0)))
+    return per_axis(lagged(s.need("time"), warm, setting.get("lag", 0.0)))
 
 
-def _lagged(time: Array, rows: Array, lag: float) -> Array:
+def lagged(time: Array, rows: Array, lag: float) -> Array:
     """Return (k, n) rows after a first-order filter that starts in equilibrium.
 
     Between two rows its input is their mean, so that the lag is the same on samples and on windows of a second.
@@ -108,13 +108,13 @@ def temperature_gain(s: Signals, setting: Setting) -> Array:
     """Return the columns of a gain per axis on the whole reading, hard iron included, that follows the thermometer."""
     warm = beyond_reference(s.need("temperature"), setting)
     reading = s.need("field") + s.need("hard_iron")[:, None]
-    return per_axis(_lagged(s.need("time"), warm, setting.get("lag", 0.0))) * reading
+    return per_axis(lagged(s.need("time"), warm, setting.get("lag", 0.0))) * reading
 
 
 def current_squared(s: Signals, setting: Setting) -> Array:
     """Return the columns of the square of a current, or of one that follows it by `lag` s."""
     rows = beyond_reference(s.need("current"), setting) ** 2
-    return per_axis(_lagged(s.need("time"), rows, setting.get("lag", 0.0)))
+    return per_axis(lagged(s.need("time"), rows, setting.get("lag", 0.0)))
 
 
 def load_soft_iron(s: Signals, setting: Setting) -> Array:

@@ -74,16 +74,20 @@ def _curvature(s: Signals) -> Array:
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
     """Return the columns of eddy currents E = value normalᵀ.
 
-    A change of the field across a plate drives currents, whose own field may point in another direction. The setting
-    `uneven`, for several plates or a bent one, admits any E of trace zero, which contains no delay (8 values, column by
-    column, without the last of the diagonal).
+    A change of the field across a plate drives currents, whose own field may point in another direction. They decay
+    within `lag` s, where the setting has one; without, they follow the change at once. The setting `uneven`, for
+    several plates or a bent one, admits any E of trace zero, which contains no delay (8 values, column by column,
+    without the last of the diagonal).
     """
+    change = s.need("field_rate")
+    if setting.get("lag"):
+        change = changes.lagged(s.need("time"), change, setting["lag"])
     if setting.get("uneven"):
-        columns = -per_axis(s.need("field_rate"))
+        columns = -per_axis(change)
         columns[[0, 4]] -= columns[8]
         return columns[:8]
     normal = np.array([setting["x"], setting["y"], setting["z"]])
-    return -np.eye(3)[:, :, None] * (normal @ s.need("field_rate"))
+    return -np.eye(3)[:, :, None] * (normal @ change)
 
 
 def _gyro_scale(s: Signals, setting: Setting) -> Array:

@@ -10,6 +10,8 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
+_DECAYS = (0.1, 0.2, 0.4, 0.8)  # s, in which a plate's currents decay: from centimetres of aluminium on
+
 
 def directions() -> list[dict[str, float]]:
     """Return thirteen directions: the axes, and the face and space diagonals of a cube."""
@@ -36,7 +38,9 @@ def _plates(twin: Twin) -> list[dict[str, float]]:
 
 
 def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    return directions_nearby(setting) if "x" in setting else []
+    """Return directions near that of a setting, each with currents that follow at once and with those that decay."""
+    where = directions_nearby(setting) if "x" in setting else [dict(setting)]
+    return [place | decay for place in where for decay in ({}, *({"lag": lag} for lag in _DECAYS))]
 
 
 def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
@@ -65,14 +69,18 @@ def _say_axis_delays(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
     if "x" not in setting:
-        most = float(np.abs(value).max())
-        return f"eddy currents in metal near the magnetometer delay the field by up to {most:.2g} ms"
+        most = f"{float(np.abs(value).max()):.2g} ms"
+        return f"eddy currents in metal near the magnetometer delay the field by up to {most}{_decaying(setting)}"
     normal = [setting[a] for a in AXES]
     size = float(np.linalg.norm(value))
     return (
         f"eddy currents in a plate across {vector(normal)} delay the field by "
-        f"{measured(size, float(np.linalg.norm(sigma)) / 3**0.5)} ms"
+        f"{measured(size, float(np.linalg.norm(sigma)) / 3**0.5)} ms{_decaying(setting)}"
     )
+
+
+def _decaying(setting: Setting) -> str:
+    return f" and decay in about {setting['lag']:g} s" if setting.get("lag") else ""
 
 
 MISALIGNMENT = EffectTerm(
