@@ -100,6 +100,11 @@ class WindowMotion:
         )
 
     @property
+    def hard_iron(self) -> Array:
+        """(3,) T."""
+        return (self.reading - self.soft_iron @ self.unit)[:, 0]
+
+    @property
     def along_links(self) -> WindowMotion:
         """The motion with additional times inside the links across which the field was not measured.
 
@@ -127,7 +132,7 @@ class WindowMotion:
             change=put(self.change, change),
             rate=put(self.rate, between.rate),
             direction=put(self.direction, direction),
-            reading=put(self.reading, (self.reading - self.soft_iron @ self.unit)[:, :1] + self.soft_iron @ unit),
+            reading=put(self.reading, self.hard_iron[:, None] + self.soft_iron @ unit),
             reading_change=put(self.reading_change, self.soft_iron @ change),
             between=NOTHING,
             window=np.arange(len(self.time)) + np.searchsorted(between.link, np.arange(len(self.time))),

@@ -119,20 +119,36 @@ def _by_step(motion: WindowMotion) -> float:
     return motion.step / (np.pi * motion.strength)
 
 
+def _since_mean(motion: WindowMotion) -> Array:
+    """Return (n,) the time since its mean over the windows, relative to that at the end of the recording."""
+    since = motion.time - motion.time.mean()
+    return since / since[-1]
+
+
 def _gain_drift(motion: WindowMotion) -> UnmodelledColumns:
-    """Return the columns of a gain that changes linearly with time, one per axis."""
-    share = np.linspace(-1, 1, len(motion.time))
-    return UnmodelledColumns(_each_axis(share * (motion.soft_iron @ motion.unit)), None)
+    """Return the columns of a gain on the whole reading that changes linearly with time, one per axis."""
+    return UnmodelledColumns(_each_axis(_since_mean(motion) * motion.reading), None)
 
 
 def _gain_at_end(motion: WindowMotion) -> Array:
-    """Return (13, 3) the soft iron at the end of the recording less its mean, per unit of each column."""
+    """Return (13, 3) soft and hard iron at the end of the recording less their means, per unit of each column."""
     result = np.zeros((PARAMETERS, 3))
     for axis in range(3):
         turned = np.zeros((3, 3))
         turned[axis] = motion.soft_iron[axis]
         result[:6, axis] = vech(0.5 * (turned + turned.T))
+        result[6 + axis, axis] = motion.hard_iron[axis]
     return result
+
+
+def _offset_drift(motion: WindowMotion) -> UnmodelledColumns:
+    """Return the columns of a hard iron that changes linearly with time, one per axis."""
+    return UnmodelledColumns(_each_axis(motion.strength * np.tile(_since_mean(motion), (3, 1))), None)
+
+
+def _offset_at_end(motion: WindowMotion) -> Array:
+    """Return (13, 3) the hard iron at the end of the recording less its mean, per unit of each column."""
+    return np.vstack([np.zeros((6, 3)), motion.strength * np.eye(3), np.zeros((PARAMETERS - 9, 3))])
 
 
 def _by_data_sheet(motion: WindowMotion) -> float:
@@ -240,6 +256,14 @@ PHYSICAL = (
         prior=USUAL,
         unit="share",
         at_end=_gain_at_end,
+    ),
+    ColumnFamily(
+        "offset drift",
+        "the hard iron drifts by {}",
+        _offset_drift,
+        0.05,
+        prior=USUAL,
+        at_end=_offset_at_end,
     ),
     ColumnFamily(
         "gyroscope:scale",
