@@ -195,6 +195,19 @@ def test_unknown_names_are_refused() -> None:
         running.cases(["nothing"], ["wide"], range(1))
     with pytest.raises(mg.MagycError, match="motion: 'flat' is not one of wide, moderate, "):
         running.cases(["clean"], ["flat"], range(1))
+    with pytest.raises(mg.MagycError, match="strength: 'loud' is not one of weak, strong, slight, between"):
+        running.cases(["clean"], ["wide"], range(1), ["loud"])
+
+
+def test_other_strengths_lie_evenly_beside_the_two_of_the_study() -> None:
+    for name, fault in FAULTS.items():
+        sizes = [fault.slight, fault.weak, fault.between, fault.strong]
+        if name == "clean" or fault.unit.startswith(("rows", "places")):
+            assert all(size == int(size) for size in sizes)
+        else:
+            np.testing.assert_allclose(np.diff(np.log(sizes)), np.log(fault.strong / fault.weak) / 2)
+    every = running.cases(["clean", "cubic"], ["wide"], range(1), ["between", "slight"])
+    assert [case.strength for case in every] == ["between", "between", "slight"]
 
 
 def test_a_draw_is_of_all_cases_and_the_same_again() -> None:

@@ -101,6 +101,10 @@ def run(
     fault: Annotated[
         list[str] | None, typer.Option(help="faults: one to study; may be repeated. Default: all.")
     ] = None,
+    strength: Annotated[
+        list[str] | None,
+        typer.Option(help="faults: slight, weak, between or strong; may be repeated. Default: weak and strong."),
+    ] = None,
     by: Annotated[
         list[str] | None,
         typer.Option(help="faults: batch, online or gap; may be repeated. Default: all."),
@@ -175,7 +179,8 @@ def run(
         from magyc_gtsam.cli.study_faults import faults
 
         seeds = range(first_seed, first_seed + runs)
-        return faults(output or Path("results/faults"), seeds, motion, fault or (), by or (), workers, draw)
+        where = output or Path("results/faults")
+        return faults(where, seeds, motion, fault or (), by or (), workers, draw, strength or ())
     else:
         from magyc_gtsam.cli import study_papers as papers
 

@@ -63,6 +63,7 @@ def faults(
     methods: Sequence[str],
     workers: int,
     draw: int | None = None,
+    strengths: Sequence[str] = (),
 ) -> int:
     """Run the cases that are not done yet, print the worst cells and write all rows.
 
@@ -73,13 +74,13 @@ def faults(
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.simulation.motion import AMPLITUDES
     from magyc_gtsam.study.faults.catalogue import FAULTS
-    from magyc_gtsam.study.faults.running import cases, cells, covered, drawn, run
+    from magyc_gtsam.study.faults.running import STRENGTHS, cases, cells, covered, drawn, run
     from magyc_gtsam.study.faults.scoring import OUTCOMES
 
     unknown = sorted(set(methods) - set(METHODS))
     if unknown:
         raise MagycError(f"--by: {unknown[0]!r} is not one of {', '.join(METHODS)}")
-    every = cases(names or list(FAULTS), motions or list(AMPLITUDES), seeds)
+    every = cases(names or list(FAULTS), motions or list(AMPLITUDES), seeds, strengths or STRENGTHS)
     if draw is not None:
         every = drawn(every, draw, seeds[0])
     with stages() as stage:

@@ -29,6 +29,7 @@ _USED_BY = {
     "edition": ("gap",),
     "foreign": ("gap",),
     "fault": ("faults",),
+    "strength": ("faults",),
     "by": ("faults",),
     "draw": ("faults",),
     "first_seed": ("efficiency", "faults", "known"),

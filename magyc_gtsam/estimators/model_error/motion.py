@@ -20,6 +20,11 @@ SLOW = (1, 7)  # half waves in the recording of a slow variation
 ALIKE = 1e-9  # lower bound of denominators, e.g. rad/s of a rate
 
 
+def each_axis(profile: Array) -> Array:
+    """Return (3, 3, n), one column per axis of a profile (3, n)."""
+    return profile[None] * np.eye(3)[:, :, None]
+
+
 @dataclass(frozen=True, eq=False)
 class WindowMotion:
     """The motion at the windows of a fit; arrays are (…, n) with the windows last.

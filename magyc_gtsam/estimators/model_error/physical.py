@@ -12,13 +12,12 @@ from functools import partial
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error import drifts
 from magyc_gtsam.estimators.model_error.by_attitude import flex
 from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, LIKELY, USUAL, ColumnFamily
-from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
+from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion, each_axis
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
-from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import vech
 
 _LATE = 0.3  # s, lag of an axis for which the ratio of second to first order is exact
 # T, half width of a hysteresis (play): one to test, which stands for loops of 0.1 to 3 µT, and others for loops that
@@ -48,11 +47,6 @@ def _one(profile: Array) -> Array:
     return profile[None]
 
 
-def _each_axis(profile: Array) -> Array:
-    """Return (3, 3, n), one column per axis."""
-    return profile[None] * np.eye(3)[:, :, None]
-
-
 def _bend(motion: WindowMotion) -> UnmodelledColumns:
     """Return the column of the cube of the reading, relative to the largest reading."""
     share = motion.reading / float(np.abs(motion.reading).max())
@@ -73,7 +67,7 @@ def _play(motion: WindowMotion, width: float = _WIDTH) -> UnmodelledColumns:
     behind = (_followed(motion.reading, width) - motion.reading) / width
     less = motion.reading.mean(axis=1, keepdims=True) - motion.reading
     less /= np.maximum(np.sqrt(2 * np.mean(less**2, axis=1, keepdims=True)), ALIKE * motion.strength)
-    return UnmodelledColumns(motion.strength * np.concatenate([_each_axis(behind), _each_axis(less)]), None)
+    return UnmodelledColumns(motion.strength * np.concatenate([each_axis(behind), each_axis(less)]), None)
 
 
 def _followed(values: Array, width: float) -> Array:
@@ -96,7 +90,7 @@ def _followed(values: Array, width: float) -> Array:
 def _late_axis(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns, per s, of a lag of each axis against the others, to first and to second order."""
     first, second = motion.reading_change, motion.reading_curvature
-    return UnmodelledColumns(np.concatenate([_each_axis(first), 0.5 * _LATE * _each_axis(second)]), None)
+    return UnmodelledColumns(np.concatenate([each_axis(first), 0.5 * _LATE * each_axis(second)]), None)
 
 
 def _filter(motion: WindowMotion) -> UnmodelledColumns:
@@ -110,45 +104,13 @@ def _steps(motion: WindowMotion) -> UnmodelledColumns:
     phase = 2 * np.pi * motion.reading / motion.step
     size = motion.strength * np.sinc(swept / motion.step)
     return UnmodelledColumns(
-        np.concatenate([_each_axis(size * np.sin(phase)), _each_axis(size * np.cos(phase))]), None
+        np.concatenate([each_axis(size * np.sin(phase)), each_axis(size * np.cos(phase))]), None
     )
 
 
 def _by_step(motion: WindowMotion) -> float:
     """Return the amplitude of the first harmonic of a sawtooth as high as a step, as a share of the field strength."""
     return motion.step / (np.pi * motion.strength)
-
-
-def _since_mean(motion: WindowMotion) -> Array:
-    """Return (n,) the time since its mean over the windows, relative to that at the end of the recording."""
-    since = motion.time - motion.time.mean()
-    return since / since[-1]
-
-
-def _gain_drift(motion: WindowMotion) -> UnmodelledColumns:
-    """Return the columns of a gain on the whole reading that changes linearly with time, one per axis."""
-    return UnmodelledColumns(_each_axis(_since_mean(motion) * motion.reading), None)
-
-
-def _gain_at_end(motion: WindowMotion) -> Array:
-    """Return (13, 3) soft and hard iron at the end of the recording less their means, per unit of each column."""
-    result = np.zeros((PARAMETERS, 3))
-    for axis in range(3):
-        turned = np.zeros((3, 3))
-        turned[axis] = motion.soft_iron[axis]
-        result[:6, axis] = vech(0.5 * (turned + turned.T))
-        result[6 + axis, axis] = motion.hard_iron[axis]
-    return result
-
-
-def _offset_drift(motion: WindowMotion) -> UnmodelledColumns:
-    """Return the columns of a hard iron that changes linearly with time, one per axis."""
-    return UnmodelledColumns(_each_axis(motion.strength * np.tile(_since_mean(motion), (3, 1))), None)
-
-
-def _offset_at_end(motion: WindowMotion) -> Array:
-    """Return (13, 3) the hard iron at the end of the recording less its mean, per unit of each column."""
-    return np.vstack([np.zeros((6, 3)), motion.strength * np.eye(3), np.zeros((PARAMETERS - 9, 3))])
 
 
 def _by_data_sheet(motion: WindowMotion) -> float:
@@ -251,19 +213,19 @@ PHYSICAL = (
     ColumnFamily(
         "gain drift",
         "the magnetometer's gain drifts by {}",
-        _gain_drift,
+        drifts.gain,
         0.03,
         prior=USUAL,
         unit="share",
-        at_end=_gain_at_end,
+        at_end=drifts.gain_at_end,
     ),
     ColumnFamily(
         "offset drift",
         "the hard iron drifts by {}",
-        _offset_drift,
+        drifts.offset,
         0.05,
         prior=USUAL,
-        at_end=_offset_at_end,
+        at_end=drifts.offset_at_end,
     ),
     ColumnFamily(
         "gyroscope:scale",

@@ -20,6 +20,7 @@ from magyc_gtsam.study.faults.signals import LoggedSamples, record
 
 Method = Callable[[Recording], Calibration | None]
 STRENGTHS = ("weak", "strong")
+OTHER_STRENGTHS = ("slight", "between")
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,17 @@ class SigmaCoverage:
     heading: float
 
 
-def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) -> list[Case]:
-    """Return the cases of every fault at both strengths, and of "clean" once.
+def cases(
+    names: Sequence[str], motions: Sequence[str], seeds: Sequence[int], strengths: Sequence[str] = STRENGTHS
+) -> list[Case]:
+    """Return the cases of every fault at all strengths, and of "clean" once.
 
     Raises:
-        MagycError: an unknown fault or motion.
+        MagycError: an unknown fault, motion or strength.
     """
+    for strength in strengths:
+        if strength not in STRENGTHS + OTHER_STRENGTHS:
+            raise MagycError(f"strength: {strength!r} is not one of {', '.join(STRENGTHS + OTHER_STRENGTHS)}")
     for motion in motions:
         if motion not in MOTIONS:
             raise MagycError(f"motion: {motion!r} is not one of {', '.join(MOTIONS)}")
@@ -86,7 +92,7 @@ def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) ->
     return [
         Case(name, strength, motion, seed)
         for name in names or FAULTS
-        for strength in (STRENGTHS if FAULTS[name].weak != FAULTS[name].strong else STRENGTHS[:1])
+        for strength in (strengths if FAULTS[name].weak != FAULTS[name].strong else strengths[:1])
         for motion in motions
         for seed in seeds
     ]

@@ -80,7 +80,7 @@ class Fault:
             noise), "turn" ((n, 3) rad/s, on the fine grid), "rate" ((rows, 3) rad/s, with bias and noise) or "log" (a
             `LoggedSamples`).
         change: (value, motion, strength, random) → the changed value.
-        weak, strong: strengths, in `unit`.
+        weak, strong: the strengths of the study by default, in `unit`.
         shows: whether data without the cause's own channel show it on every motion; if not, it resembles misaligned
             chips.
         rate: rate of the log, Hz.
@@ -95,6 +95,19 @@ class Fault:
     shows: bool = True
     rate: float = 10.0
     turns: bool = False
+
+    @property
+    def between(self) -> float:
+        """The geometric mean of `weak` and `strong`; a number of rows is a whole one."""
+        return self._of((self.weak * self.strong) ** 0.5)
+
+    @property
+    def slight(self) -> float:
+        """As far below `weak` as `between` is above it."""
+        return self._of(self.weak * (self.weak / self.strong) ** 0.5) if self.strong else 0.0
+
+    def _of(self, size: float) -> float:
+        return max(round(size), 1) if self.unit.startswith(("rows", "places")) else size
 
 
 def record(

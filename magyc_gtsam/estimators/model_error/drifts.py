@@ -1,0 +1,47 @@
+"""Linear drifts of the magnetometer's gain and offset, as it warms up: columns, and what they are worth at the end.
+
+A calibration is the mean over a recording and is used afterwards. Families of several waves of time show a drift late,
+since most of their columns are not in it; the three columns of a linear one show it early.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.estimators.model_error.motion import WindowMotion, each_axis
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import vech
+
+
+def _since_mean(motion: WindowMotion) -> Array:
+    """Return (n,) the time since its mean over the windows, relative to that at the end of the recording."""
+    since = motion.time - motion.time.mean()
+    return since / since[-1]
+
+
+def gain(motion: WindowMotion) -> UnmodelledColumns:
+    """Return the columns of a gain on the whole reading that changes linearly with time, one per axis."""
+    return UnmodelledColumns(each_axis(_since_mean(motion) * motion.reading), None)
+
+
+def gain_at_end(motion: WindowMotion) -> Array:
+    """Return (13, 3) soft and hard iron at the end of the recording less their means, per unit of each column."""
+    result = np.zeros((PARAMETERS, 3))
+    for axis in range(3):
+        turned = np.zeros((3, 3))
+        turned[axis] = motion.soft_iron[axis]
+        result[:6, axis] = vech(0.5 * (turned + turned.T))
+        result[6 + axis, axis] = motion.hard_iron[axis]
+    return result
+
+
+def offset(motion: WindowMotion) -> UnmodelledColumns:
+    """Return the columns of a hard iron that changes linearly with time, one per axis."""
+    return UnmodelledColumns(each_axis(motion.strength * np.tile(_since_mean(motion), (3, 1))), None)
+
+
+def offset_at_end(motion: WindowMotion) -> Array:
+    """Return (13, 3) the hard iron at the end of the recording less its mean, per unit of each column."""
+    return np.vstack([np.zeros((6, 3)), motion.strength * np.eye(3), np.zeros((PARAMETERS - 9, 3))])
