@@ -1,9 +1,10 @@
 """How often is a trusted result wrong under faults as real vehicles have them?
 
     python benchmarks/real_faults.py [FAULT ...] [--motion NAME] [--seeds 2] [--first-seed 0]
-                                     [--by calibrate|online|gap]
+                                     [--by calibrate|online|gap] [--times 0.5]
 
-The vehicles are those of `real_vehicles.py`, the faults those of `real_fault_list.py`; each has two strengths. A result
+The vehicles are those of `real_vehicles.py`, the faults those of `real_fault_list.py`; each has two strengths, which
+`--times` multiplies. A result
 is wrong if the hard iron is off by more than 4 stated sigmas and 1 µT on an axis, or the heading of a level turn by
 more than 4 sigmas and 1.5°. Where the instrument changes or has no single truth, each of its values counts as right:
 the latest, the mean, or that of each state; of a bent response, the straight one that fits it best. `online` is judged
@@ -75,10 +76,11 @@ def looks(recording, by):
             yield found, online.converged and found.trusted, last
 
 
-def results(motion, name, level, seed, by):
+def results(motion, name, level, seed, by, times):
     """Yield for each look whether it is trusted, and the judgement."""
     own = scene(BY_NAME[motion], seed, f"{motion}/{name}/{level}")
-    FAULTS[name].act(own, FAULTS[name][1 + level])
+    size = FAULTS[name][1 + level]
+    FAULTS[name].act(own, type(size)(times * size))
     recording = own.recording()
     try:
         for found, trusted, time in looks(recording, by):
@@ -101,7 +103,7 @@ def main(given):
             rows = []
             for seed in range(given.first_seed, given.first_seed + given.seeds):
                 for motion in given.motion or BY_NAME:
-                    for trusted, found in results(motion, name, level, seed, given.by):
+                    for trusted, found in results(motion, name, level, seed, given.by, given.times):
                         rows.append((trusted, found))
                         if trusted and found[0]:
                             wrong.append((name, strength, motion, seed, found))
@@ -128,4 +130,5 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--by", choices=("calibrate", "online", "gap"), default="calibrate")
+    parser.add_argument("--times", type=float, default=1.0)
     main(parser.parse_args())

@@ -1,10 +1,12 @@
-"""Linear drifts of the magnetometer's gain and offset, as it warms up: columns, and what they are worth at the end.
+"""Drifts of gain, hard iron and gyroscope bias, as sensors warm up: columns, and their values at the end.
 
 A calibration is the mean over a recording and is used afterwards. Families of several waves of time show a drift late,
 since most of their columns are not in it; the three columns of a linear one show it early.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -45,3 +47,26 @@ def offset(motion: WindowMotion) -> UnmodelledColumns:
 def offset_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) the hard iron at the end of the recording less its mean, per unit of each column."""
     return np.vstack([np.zeros((6, 3)), motion.strength * np.eye(3), np.zeros((PARAMETERS - 9, 3))])
+
+
+def bias(motion: WindowMotion) -> UnmodelledColumns:
+    """Return the columns of a gyroscope bias that changes linearly with time, one per axis."""
+    return motion.slowly_about_each_axis(_since_mean(motion)[None])
+
+
+def bias_at_end(motion: WindowMotion) -> Array:
+    """Return (13, 3) the gyroscope bias at the end of the recording less its mean, per unit of each column."""
+    return np.vstack([np.zeros((9, 3)), np.eye(3), np.zeros((PARAMETERS - 12, 3))])
+
+
+def waves_at_end(waves: tuple[int, int], of_bias: bool = False) -> Callable[[WindowMotion], Array]:
+    """Return the function for (13, 3w) the hard iron, or the bias, at the end of the recording of w waves per axis."""
+
+    def there(motion: WindowMotion) -> Array:
+        result = np.zeros((PARAMETERS, 3 * (waves[1] - waves[0])))
+        ends = np.sqrt(2) * (-1.0) ** np.arange(*waves)
+        rows, unit = (slice(9, 12), 1.0) if of_bias else (slice(6, 9), motion.strength)
+        result[rows] = unit * (ends[:, None, None] * np.eye(3)).swapaxes(0, 1).reshape(3, -1)
+        return result
+
+    return there

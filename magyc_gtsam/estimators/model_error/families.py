@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error import drifts
 from magyc_gtsam.estimators.model_error.by_attitude import attitude, tilt
 from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
@@ -20,7 +21,8 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.vech import vech
 
-_SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
+# Half waves in the recording of the slowest, the slower and the faster variation.
+_SLOWEST, _SLOWER, _FASTER = (1, 4), (4, SLOW[1]), (7, 21)
 # Prior odds of an effect. They determine the cost for clean logs (ten minutes at 10 Hz): the mean NEES falls from 11 by
 # 0.6 to 1.0, on tiny motion by 1.7, and the axis of hard iron and bias that is widened most is wider by a median factor
 # of 1.04 to 1.10, on tiny motion 1.14. The NEES is 11 over instruments that have such errors as often as these odds
@@ -222,18 +224,6 @@ def _bent_rate(motion: WindowMotion) -> UnmodelledColumns:
     return motion.about_each_axis(motion.spread * products)
 
 
-def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
-    """Return the function for the hard iron at the end of the recording of waves along the sensor's axes."""
-
-    def there(motion: WindowMotion) -> Array:
-        result = np.zeros((PARAMETERS, 3 * (waves[1] - waves[0])))
-        ends = np.sqrt(2) * (-1.0) ** np.arange(*waves)
-        result[6:9] = motion.strength * (ends[:, None, None] * np.eye(3)).swapaxes(0, 1).reshape(3, -1)
-        return result
-
-    return there
-
-
 def _in_time(
     name: str,
     place: str,
@@ -263,8 +253,10 @@ _ALONG = WindowMotion.in_sensor
 FAMILIES = (
     _in_time("wander:slow", _VARIES, WindowMotion.in_world, 0.05, SLOW, of_place=True),
     _in_time("wander:fast", _VARIES, WindowMotion.in_world, 0.05, _FASTER, of_place=True, stage=2),
-    _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, of_iron=True, at_end=_drift_at_end(SLOW)),
-    _in_time("drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER), stage=2),
+    _in_time("drift:slow", _CHANGES, _ALONG, 0.05, SLOW, of_iron=True, at_end=drifts.waves_at_end(SLOW)),
+    _in_time(
+        "drift:fast", _CHANGES, _ALONG, 0.05, _FASTER, of_iron=True, at_end=drifts.waves_at_end(_FASTER), stage=2
+    ),
     ColumnFamily("attitude", _GOES, attitude, 0.03, 9, stage=1, of_place=True, prior=SELDOM),
     ColumnFamily("tilt", _LEANS, tilt, 0.03, 3, stage=1),
     ColumnFamily("skew", "the chips' axes are misaligned by {} of the field", _skew, 0.035, 2, stage=1),
@@ -277,15 +269,24 @@ FAMILIES = (
     ColumnFamily(
         "gyroscope:linear", _SCALED, lambda m: m.about_each_axis(m.rate), 0.03, stage=1, unit="share", mixed=True
     ),
-    _in_time("gyroscope:drift", _BIASED, WindowMotion.slowly_about_each_axis, 0.015, _SLOWEST, unit="rate"),
+    _in_time(
+        "gyroscope:drift",
+        _BIASED,
+        WindowMotion.slowly_about_each_axis,
+        0.015,
+        _SLOWEST,
+        unit="rate",
+        at_end=drifts.waves_at_end(_SLOWEST, of_bias=True),
+    ),
     _in_time(
         "gyroscope:wander",
         _BIASED,
         WindowMotion.about_each_axis,
         0.015,
-        (_SLOWEST[1], SLOW[1]),
+        _SLOWER,
         unit="rate",
         stage=2,
+        at_end=drifts.waves_at_end(_SLOWER, of_bias=True),
     ),
     ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share", stage=2),
     ColumnFamily("gyroscope:field", _TILTED, lambda m: m.about_each_axis(m.unit), 0.0075, 3, unit="rate", stage=2),

@@ -224,8 +224,17 @@ PHYSICAL = (
         "the hard iron drifts by {}",
         drifts.offset,
         0.05,
-        prior=USUAL,
+        prior=COMMON,
         at_end=drifts.offset_at_end,
+    ),
+    ColumnFamily(
+        "gyroscope:bias drift",
+        "the gyroscope's bias drifts by {}",
+        drifts.bias,
+        0.015,
+        prior=COMMON,
+        unit="rate",
+        at_end=drifts.bias_at_end,
     ),
     ColumnFamily(
         "gyroscope:scale",

@@ -134,9 +134,9 @@ EDDY_PLANE = EffectTerm(
     label="eddy currents in a plate",
     physics=(
         "A change of the field across a metal plate drives currents in it, whose own field opposes the "
-        "change. The reading lags for one direction of the field, by milliseconds near a phone's frame, by 60 "
-        "ms near a thick deck. A delay, which is the same for all directions, resembles it on motions about "
-        "one axis."
+        "change and decays, the more slowly the thicker the plate. The reading lags for one direction of the "
+        "field, by milliseconds near a phone's frame, by 60 ms near a thick deck. A delay, which is the same for "
+        "all directions, resembles it on motions about one axis."
     ),
     unit="ms",
     matters=8e-3,
