@@ -4,7 +4,7 @@
                                      [--by calibrate|online|gap] [--times 0.5]
 
 The vehicles are those of `real_vehicles.py`, the faults those of `real_fault_list.py`; each has two strengths, which
-`--times` multiplies. A result
+`--times` multiplies, numbers of rows excepted. A result
 is wrong if the hard iron is off by more than 4 stated sigmas and 1 µT on an axis, or the heading of a level turn by
 more than 4 sigmas and 1.5°. Where the instrument changes or has no single truth, each of its values counts as right:
 the latest, the mean, or that of each state; of a bent response, the straight one that fits it best. `online` is judged
@@ -80,7 +80,7 @@ def results(motion, name, level, seed, by, times):
     """Yield for each look whether it is trusted, and the judgement."""
     own = scene(BY_NAME[motion], seed, f"{motion}/{name}/{level}")
     size = FAULTS[name][1 + level]
-    FAULTS[name].act(own, type(size)(times * size))
+    FAULTS[name].act(own, size if isinstance(size, int) else times * size)
     recording = own.recording()
     try:
         for found, trusted, time in looks(recording, by):

@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.model_error.components import principal
 from magyc_gtsam.estimators.model_error.not_excluded import averaged_of_each
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL, _followed
 from magyc_gtsam.estimators.model_error.samples import flickers
+from magyc_gtsam.simulation import GYRO_BIAS
 from magyc_gtsam.study.efficiency import error, nees
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import score
@@ -102,6 +103,18 @@ def test_a_drift_that_is_just_seen_is_covered_at_the_end_of_the_log(
         log = record("wide", seed, FAULTS[name], size, name)
         found = score(calibrate(log.recording(name)), end=float(log.field_time[-1]))
         assert found.outcome == "right and trusted", (seed, found)
+
+
+@pytest.mark.parametrize("motion", ["wide", "tiny"])
+def test_a_bias_that_drifts_is_covered_at_the_end_of_the_log(motion: str) -> None:
+    """By 5 mrad/s in ten minutes; off by 12 to 18 sigmas when only the mean over the log had a sigma."""
+    log = record(motion, 42060, FAULTS["bias-drift"], 5e-3, "bias-drift")
+    found = calibrate(log.recording("drift"))
+    off = np.abs(found.gyro_bias - GYRO_BIAS)
+    assert found.trusted
+    assert off.max() > 1e-3
+    assert (off < 3 * found.sigma["gyro_bias"]).all()
+    assert found.sigma["gyro_bias"].max() < 5e-3
 
 
 def test_a_delay_says_that_there_may_be_a_filter() -> None:

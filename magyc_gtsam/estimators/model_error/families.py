@@ -28,7 +28,7 @@ _SLOWEST, _SLOWER, _FASTER = (1, 4), (4, SLOW[1]), (7, 21)
 # of 1.04 to 1.10, on tiny motion 1.14. The NEES is 11 over instruments that have such errors as often as these odds
 # state. docs/fault_study.md compares priors of a bend.
 EVEN = 1.0  # effects of which another measured quantity gives the size
-LIKELY = 0.15  # errors stated as a share of the full scale, of which the field is a small part
+LIKELY = 0.15  # errors of which data sheets state a bound that most logs stay far below
 COMMON = 0.3  # errors that every data sheet of a low-cost sensor states as one number
 USUAL = 0.05  # errors of some sensors
 SELDOM = 0.02  # a field gradient with a lever arm, which hardly moves the parameters of a clean log

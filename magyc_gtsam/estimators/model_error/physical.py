@@ -232,7 +232,7 @@ PHYSICAL = (
         "the gyroscope's bias drifts by {}",
         drifts.bias,
         0.015,
-        prior=COMMON,
+        prior=LIKELY,
         unit="rate",
         at_end=drifts.bias_at_end,
     ),
