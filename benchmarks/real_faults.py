@@ -4,14 +4,14 @@
                                      [--by calibrate|online|gap] [--times 0.5]
 
 The vehicles are those of `real_vehicles.py`, the faults those of `real_fault_list.py`; each has two strengths, which
-`--times` multiplies, numbers of rows excepted. A result
-is wrong if the hard iron is off by more than 4 stated sigmas and 1 µT on an axis, or the heading of a level turn by
-more than 4 sigmas and 1.5°. Where the instrument changes or has no single truth, each of its values counts as right:
-the latest, the mean, or that of each state; of a bent response, the straight one that fits it best. `online` is judged
-at sixteen looks, where it has converged. Faults in brackets are those that some of these motions hide. The last columns
-are the root mean squares of the largest errors in sigmas of trusted results, and coverage, trusted or not: the share of
-the hard iron's axes within one sigma, and of hard irons within the ellipsoid of 68 %. Of an honest covariance both are
-0.68; all three axes at once are within one sigma in 0.32 if they are independent.
+`--times` multiplies, numbers of rows excepted. A result is wrong if the hard iron is off by more than 4 stated sigmas
+and 1 µT on an axis, or the heading of a level turn by more than 4 sigmas and 1.5°. Where the instrument changes or has
+no single truth, each of its values counts as right: the latest, the mean, or that of each state; of a bent response,
+the straight one that fits it best. `online` is judged at sixteen looks, where it has converged. Faults in brackets are
+those that some of these motions hide. The last columns are the root mean squares of the largest errors in sigmas of
+trusted results, and coverage, trusted or not: the share of the hard iron's axes within one sigma, and of hard irons
+within the ellipsoid of 68 %. Of an honest covariance both are 0.68; all three axes at once are within one sigma in 0.32
+if they are independent.
 """
 
 import argparse

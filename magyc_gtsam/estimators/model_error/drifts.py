@@ -16,6 +16,13 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 
+_WARM = 300.0  # s, in which a sensor warms up; a shorter log has its share of the largest drift
+
+
+def up_to(largest: float) -> Callable[[WindowMotion], float]:
+    """Return the function for the largest drift that is plausible within a recording; `largest` if it is long."""
+    return lambda motion: largest * min(float(motion.time[-1] - motion.time[0]) / _WARM, 1.0)
+
 
 def _since_mean(motion: WindowMotion) -> Array:
     """Return (n,) the time since its mean over the windows, relative to that at the end of the recording."""

@@ -218,6 +218,7 @@ PHYSICAL = (
         prior=USUAL,
         unit="share",
         at_end=drifts.gain_at_end,
+        expected=drifts.up_to(0.03),
     ),
     ColumnFamily(
         "offset drift",
@@ -226,6 +227,7 @@ PHYSICAL = (
         0.05,
         prior=COMMON,
         at_end=drifts.offset_at_end,
+        expected=drifts.up_to(0.05),
     ),
     ColumnFamily(
         "gyroscope:bias drift",
@@ -235,6 +237,7 @@ PHYSICAL = (
         prior=LIKELY,
         unit="rate",
         at_end=drifts.bias_at_end,
+        expected=drifts.up_to(0.015),
     ),
     ColumnFamily(
         "gyroscope:scale",
