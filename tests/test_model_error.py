@@ -212,7 +212,10 @@ def test_no_amplitude_where_there_is_none() -> None:
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
 def test_clean_logs_are_hardly_widened(motion: str) -> None:
-    """What instruments may do and the motion does not show has its odds from before, which costs a few per cent."""
+    """What instruments may do and the motion does not show has its odds from before, which costs a few per cent.
+
+    One log of 48 shows a drift of the bias by chance, which is 5 times as uncertain for it.
+    """
     ratios = []
     for seed in range(600, 612):
         calibration = calibrate(simulate(motion, duration=300, seed=seed).recording)
@@ -220,7 +223,9 @@ def test_clean_logs_are_hardly_widened(motion: str) -> None:
         ratio = np.diag(calibration.covariance)[6:] / np.diag(calibration.noise_covariance)[6:]
         ratios.append(np.sqrt(ratio))
     assert np.median(np.max(ratios, axis=1)) < 1.15
-    assert np.mean(ratios, axis=0).max() < 1.3
+    hard_iron, bias = np.split(np.mean(ratios, axis=0), 2)
+    assert hard_iron.max() < 1.2
+    assert bias.max() < 1.5
 
 
 def test_a_sensor_on_an_arm_in_a_gradient_is_covered() -> None:
