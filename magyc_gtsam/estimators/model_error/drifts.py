@@ -7,6 +7,7 @@ since most of their columns are not in it; the three columns of a linear one sho
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,13 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 
 _WARM = 300.0  # s, in which a sensor warms up; a shorter log has its share of the largest drift
+
+
+class Drift(NamedTuple):
+    """A linear drift: its columns, and (13, k) the parameters at the end less their means, per unit of each."""
+
+    columns: Callable[[WindowMotion], UnmodelledColumns]
+    at_end: Callable[[WindowMotion], Array]
 
 
 def up_to(largest: float) -> Callable[[WindowMotion], float]:
@@ -30,12 +38,12 @@ def _since_mean(motion: WindowMotion) -> Array:
     return since / since[-1]
 
 
-def gain(motion: WindowMotion) -> UnmodelledColumns:
+def _gain(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a gain on the whole reading that changes linearly with time, one per axis."""
     return UnmodelledColumns(each_axis(_since_mean(motion) * motion.reading), None)
 
 
-def gain_at_end(motion: WindowMotion) -> Array:
+def _gain_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) soft and hard iron at the end of the recording less their means, per unit of each column."""
     result = np.zeros((PARAMETERS, 3))
     for axis in range(3):
@@ -46,24 +54,29 @@ def gain_at_end(motion: WindowMotion) -> Array:
     return result
 
 
-def offset(motion: WindowMotion) -> UnmodelledColumns:
+def _offset(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a hard iron that changes linearly with time, one per axis."""
     return UnmodelledColumns(each_axis(motion.strength * np.tile(_since_mean(motion), (3, 1))), None)
 
 
-def offset_at_end(motion: WindowMotion) -> Array:
+def _offset_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) the hard iron at the end of the recording less its mean, per unit of each column."""
     return np.vstack([np.zeros((6, 3)), motion.strength * np.eye(3), np.zeros((PARAMETERS - 9, 3))])
 
 
-def bias(motion: WindowMotion) -> UnmodelledColumns:
+def _bias(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a gyroscope bias that changes linearly with time, one per axis."""
     return motion.slowly_about_each_axis(_since_mean(motion)[None])
 
 
-def bias_at_end(motion: WindowMotion) -> Array:
+def _bias_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) the gyroscope bias at the end of the recording less its mean, per unit of each column."""
     return np.vstack([np.zeros((9, 3)), np.eye(3), np.zeros((PARAMETERS - 12, 3))])
+
+
+GAIN = Drift(_gain, _gain_at_end)
+OFFSET = Drift(_offset, _offset_at_end)
+BIAS = Drift(_bias, _bias_at_end)
 
 
 def waves_at_end(waves: tuple[int, int], of_bias: bool = False) -> Callable[[WindowMotion], Array]:

@@ -155,6 +155,14 @@ def _unless_negligible(amplitude: float) -> float:
     return amplitude if amplitude > _LEAST_FILTER else 0.0
 
 
+def _drift(name: str, place: str, drift: drifts.Drift, most: float, prior: float, unit: str) -> ColumnFamily:
+    """Return the family of a linear drift."""
+    likely = drifts.up_to(most)
+    return ColumnFamily(
+        name, place, drift.columns, most, prior=prior, unit=unit, at_end=drift.at_end, expected=likely
+    )
+
+
 COARSE = ColumnFamily(
     "steps",
     "the magnetometer's steps put its reading off by {}",
@@ -210,35 +218,9 @@ PHYSICAL = (
         octaves=2,
         from_rate=True,
     ),
-    ColumnFamily(
-        "gain drift",
-        "the magnetometer's gain drifts by {}",
-        drifts.gain,
-        0.03,
-        prior=USUAL,
-        unit="share",
-        at_end=drifts.gain_at_end,
-        expected=drifts.up_to(0.03),
-    ),
-    ColumnFamily(
-        "offset drift",
-        "the hard iron drifts by {}",
-        drifts.offset,
-        0.05,
-        prior=COMMON,
-        at_end=drifts.offset_at_end,
-        expected=drifts.up_to(0.05),
-    ),
-    ColumnFamily(
-        "gyroscope:bias drift",
-        "the gyroscope's bias drifts by {}",
-        drifts.bias,
-        0.015,
-        prior=LIKELY,
-        unit="rate",
-        at_end=drifts.bias_at_end,
-        expected=drifts.up_to(0.015),
-    ),
+    _drift("gain drift", "the magnetometer's gain drifts by ±{}", drifts.GAIN, 0.03, USUAL, "share"),
+    _drift("offset drift", "the hard iron drifts by ±{}", drifts.OFFSET, 0.05, COMMON, "field"),
+    _drift("gyroscope:bias drift", "the gyroscope's bias drifts by ±{}", drifts.BIAS, 0.015, LIKELY, "rate"),
     ColumnFamily(
         "gyroscope:scale",
         "the gyroscope's scale is off by {}, which calibrate estimates (gyroscope_scale=)",
