@@ -219,7 +219,7 @@ PHYSICAL = (
         from_rate=True,
     ),
     _drift("gain drift", "the magnetometer's gain drifts by ±{}", drifts.GAIN, 0.03, USUAL, "share"),
-    _drift("offset drift", "the hard iron drifts by ±{}", drifts.OFFSET, 0.05, COMMON, "field"),
+    _drift("offset drift", "the hard iron drifts by ±{}", drifts.OFFSET, 0.05, USUAL, "field"),
     _drift("gyroscope:bias drift", "the gyroscope's bias drifts by ±{}", drifts.BIAS, 0.015, LIKELY, "rate"),
     ColumnFamily(
         "gyroscope:scale",
