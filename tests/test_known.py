@@ -84,7 +84,9 @@ def test_a_prior_that_did_not_walk_is_hardly_moved_by_little_data(earlier):
     assert (np.abs(calibration.hard_iron - earlier.hard_iron) < 0.5 * earlier.sigma["hard_iron"]).all()
     by_noise = np.sqrt(np.diag(calibration.noise_covariance)[6:9])
     assert (by_noise < 1.01 * earlier.sigma["hard_iron"]).all()
-    assert (calibration.sigma["hard_iron"] < 1.2 * earlier.sigma["hard_iron"]).all()  # it may drift within the minute
+    assert (
+        calibration.sigma["hard_iron"] < 1.2 * earlier.sigma["hard_iron"]
+    ).all()  # it may drift within the minute
 
 
 def test_the_walk_widens_the_prior(earlier):

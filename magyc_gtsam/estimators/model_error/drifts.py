@@ -20,7 +20,7 @@ from magyc_gtsam.factors.chain.vech import vech
 _WARM = 300.0  # s, in which a sensor warms up; a shorter log has its share of the largest drift
 
 
-class Drift(NamedTuple):
+class LinearDrift(NamedTuple):
     """A linear drift: its columns, and (13, k) the parameters at the end less their means, per unit of each."""
 
     columns: Callable[[WindowMotion], UnmodelledColumns]
@@ -74,9 +74,9 @@ def _bias_at_end(motion: WindowMotion) -> Array:
     return np.vstack([np.zeros((9, 3)), np.eye(3), np.zeros((PARAMETERS - 12, 3))])
 
 
-GAIN = Drift(_gain, _gain_at_end)
-OFFSET = Drift(_offset, _offset_at_end)
-BIAS = Drift(_bias, _bias_at_end)
+GAIN = LinearDrift(_gain, _gain_at_end)
+OFFSET = LinearDrift(_offset, _offset_at_end)
+BIAS = LinearDrift(_bias, _bias_at_end)
 
 
 def waves_at_end(waves: tuple[int, int], of_bias: bool = False) -> Callable[[WindowMotion], Array]:

@@ -49,4 +49,4 @@ def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -
 
 def smoothed(given: Recording, model: Model, score: NoiseScore, fine: Fine) -> Recording:
     """Return the recording without the mean rounding error of its resolution; `fine`: innovations of the model."""
-    return unrounded(given, given, model, float(score.value[0]), fine.level)
+    return unrounded(given, model, float(score.value[0]), fine.level)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
@@ -79,9 +78,7 @@ def possible(result: Refit, index: int) -> bool:
 
 def widened(result: Refit) -> Refit:
     """Return the refit with its covariance widened for the autocorrelation of the residuals, as in `smoother`."""
-    twin = result.twin
-    fit = Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
-    return replace(result, covariance=fit.colour * result.covariance)
+    return replace(result, covariance=result.twin.fit().colour * result.covariance)
 
 
 def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
@@ -115,8 +112,7 @@ def refit(
         (known and known.beside(model)) or Twin.of(problem, model, known), farthest
     )
     for _ in range(_ROUNDS if short_term is not None else 0):
-        fixed = np.zeros_like(model.free)
-        fit = adapt(Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, fixed), False, short_term)
+        fit = adapt(twin.fit(free=np.zeros_like(model.free)), False, short_term)
         before, after = np.array(twin.model.noise), np.array(fit.chain.noise)
         twin = Twin.of(problem, replace(twin.model, noise=fit.chain.noise), twin)
         if np.abs(np.log(after / before)).max() < _SAME_NOISE:

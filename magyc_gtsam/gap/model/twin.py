@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
+from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.banded import inverse_blocks
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, ChainState, Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
@@ -93,6 +95,11 @@ class Twin:
             gyroscope,
             integrated,
         )
+
+    def fit(self, free: np.ndarray | None = None, terms: EstimatedTerms | None = None) -> Fit:
+        """Return the twin as a fit of the field chain, unweighted, with the model's free parameters by default."""
+        free = self.model.free if free is None else free
+        return Fit(self.chain, self.state, self.chain.unweighted(), self.reduced, free, terms=terms)
 
     @property
     def n(self) -> int:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant
-from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
@@ -248,6 +247,4 @@ def _drift_apart(current: Refit) -> bool:
     twin = current.twin
     if not twin.model.free[DELAY]:
         return False
-    return drift_is_significant(
-        Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
-    )
+    return drift_is_significant(twin.fit())

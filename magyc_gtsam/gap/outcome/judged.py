@@ -111,8 +111,7 @@ def _widened_terms(
 
 def fit_of(twin: Twin) -> Fit:
     """Return the field chain of a twin, with the terms of its model beside θ."""
-    weights = twin.chain.unweighted()
-    return Fit(twin.chain, twin.state, weights, twin.reduced, twin.model.free, terms=_terms(twin))
+    return twin.fit(terms=_terms(twin))
 
 
 def _terms(twin: Twin) -> EstimatedTerms | None:

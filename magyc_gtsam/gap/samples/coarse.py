@@ -24,12 +24,11 @@ from magyc_gtsam.recording import Recording
 _TERMS = 8
 
 
-def unrounded(recording: Recording, rounded: Recording, model: Model, step: float, level: float) -> Recording:
+def unrounded(recording: Recording, model: Model, step: float, level: float) -> Recording:
     """Return the recording without the mean rounding error.
 
     Args:
-        recording: the data with its present corrections.
-        rounded: the readings as they were rounded.
+        recording: the data with readings as they were rounded.
         model: that predicts the readings.
         step: T, of the rounding.
         level: T, standard deviation of the model's residual of a sample.
@@ -41,11 +40,11 @@ def unrounded(recording: Recording, rounded: Recording, model: Model, step: floa
     time, reading = recording.magnetometer
     known = np.isin(time, twin.time)
     expected = reading[known] + twin.chain.residuals(twin.state).window.T
-    steps = rounded.magnetic_field[rounded.magnetic_field_fresh]
+    steps = recording.magnetic_field[recording.magnetic_field_fresh]
     origin = step * np.angle(np.exp(2j * np.pi * steps / step).mean(axis=0)) / (2 * np.pi)
     field = recording.magnetic_field.copy()
     rows = np.flatnonzero(recording.magnetic_field_fresh)[known]
-    field[rows] = rounded.magnetic_field[rows] - rounding(expected - origin, step, noise)
+    field[rows] -= rounding(expected - origin, step, noise)
     return replace(recording, magnetic_field=field)
 
 
