@@ -228,6 +228,18 @@ def test_clean_logs_are_hardly_widened(motion: str) -> None:
     assert bias.max() < 1.5
 
 
+def test_a_small_current_that_is_switched_every_half_minute_is_covered() -> None:
+    """Neighbouring residuals are not correlated, those of several windows are; 6.3 and 6.7 sigmas off before."""
+    fault = FAULTS["switched-current"]
+    for motion, seed in (("wide", 43015), ("low", 43026)):
+        log = record(motion, seed, fault, fault.slight, "switched-current")
+        calibration = calibrate(log.recording("switched"))
+        assert calibration.diagnostics["colour"] == 1
+        found = score(calibration, end=float(log.field_time[-1]))
+        assert max(found.hard_iron_sigmas, found.heading_sigmas) < 3
+        assert "hard iron changes with time" in calibration.message
+
+
 def test_a_sensor_on_an_arm_in_a_gradient_is_covered() -> None:
     """0.4 m in 6 µT/m; today's colour alone leaves a mean NEES of some hundred."""
     scores, alone = [], []

@@ -29,6 +29,7 @@ SETTLED = 5e-3  # squared distance from the minimum, in sigmas, at which a desce
 NEAR = 4.0  # the same limit between updates of noise levels and weights: two sigmas
 _UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are relinearised
 _ROUNDING = 1e-9  # tolerance on the cost, which is close to zero for noise-free data
+_SLOW_LAGS = 8  # windows, over which autocorrelations are added
 COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
@@ -93,6 +94,15 @@ class Fit(Minimum):
         """
         return max(colour_of(residual) for residual in self.whitened)
 
+    @property
+    def slow(self) -> float:
+        """The sum of the first autocorrelations of the whitened residuals in standard deviations of white ones.
+
+        A cause that lasts for several windows shows in it before it shows between neighbours. The fit makes it
+        negative, −1 to −5 on clean logs. The value is the larger of those in the sensor's and in the world's axes.
+        """
+        return max(_sum_of_correlations(residual) for residual in self.whitened)
+
 
 def inverse_information(information: Array, free: np.ndarray) -> Array:
     """Return the covariance (p, p); zeros for fixed parameters, very large or infinite where it is undetermined."""
@@ -116,6 +126,12 @@ def colour_of(residual: Array) -> float:
             break
         factor += 2 * correlation
     return factor
+
+
+def _sum_of_correlations(residual: Array) -> float:
+    lags = range(1, min(_SLOW_LAGS, residual.shape[1] - 1) + 1)
+    total = float(np.vdot(residual, residual)) * np.sqrt(len(lags) / residual.size)
+    return sum(float(np.vdot(residual[:, lag:], residual[:, :-lag])) for lag in lags) / max(total, 1e-300)
 
 
 def begin(chain: FieldChain, parameters: Array, free: np.ndarray, patience: int = PATIENCE) -> Fit:
