@@ -112,6 +112,7 @@ def test_what_is_given_up_is_not_lost():
     # The part that is still kept excludes fewer effects than the log as a whole: that is in the model error.
     stated, whole = (np.diag(c.noise_covariance) for c in (online.calibration, batch))
     np.testing.assert_allclose(stated, whole, rtol=0.25)
+    assert (online.calibration.sigma["hard_iron"] < 1.6 * batch.sigma["hard_iron"]).all()
     assert online.calibration.diagnostics["windows"] == pytest.approx(batch.diagnostics["windows"], abs=2)
 
 
