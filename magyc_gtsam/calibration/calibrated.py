@@ -40,9 +40,8 @@ def without_lag(recording: Recording, lag: float) -> Recording:
     if lag == 0:
         return recording
     time, field = recording.magnetometer
-    return recording.with_samples(
-        (time - lag, field), None if recording.angular_rate is None else recording.gyroscope
-    )
+    gyroscope = None if recording.angular_rate is None else recording.gyroscope
+    return recording.with_samples((time - lag, field), gyroscope).with_equal_samples()
 
 
 def calibrated_on_time(calibration: Calibration, recording: Recording) -> Recording:

@@ -55,8 +55,8 @@ def term_factor(
 
     Raises:
         MagycError: a term that is not an effect on a reading, a tone, or a timing alone; not one key per term; a
-            channel that the recording lacks; a calibration without noise or field strength; an interval of fewer than
-            3 windows.
+            channel that the recording lacks; a calibration without noise or field strength, or with the gyroscope in
+            other axes than the recording's; an interval of fewer than 3 windows.
     """
     terms = [term] if isinstance(term, Term) else list(term)
     own = [each for each in terms if each.name != "timing"]
@@ -101,6 +101,11 @@ def _check(calibration: Calibration, terms: Sequence[Term], own: Sequence[Term],
                 "term 'tone': the windows' means do not hold it; take it out of the readings first, by "
                 "magyc_gtsam.gap.samples.tones.silenced(recording, [term]), and leave it out of the factor"
             )
+    if any(term.name == "axis-order" for term in calibration.terms):
+        raise MagycError(
+            "calibration: its term 'axis-order' turns the gyroscope, whose rates in the recording are in other axes; "
+            "turn them, and give a calibration of that recording"
+        )
     if not terms:
         raise MagycError("term: at least one term is needed, got none; without one use field_chain_factor")
     if not own:

@@ -14,6 +14,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
 from magyc_gtsam.gap.evidence.beside import Beside
@@ -32,6 +33,7 @@ _TRIALS = 60  # of naming an effect
 _AS_GOOD = 3.0  # nats: a twentieth of the probability
 
 
+@one_thread
 def isolability(recording: Recording) -> tuple[Isolability, ...]:
     """Return the table for a motion.
 

@@ -15,6 +15,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.field_variation import field_variation
@@ -31,6 +32,7 @@ from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.result import Moved
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.sensor_faults.usable import without_faults
 
 _BIAS = slice(9, 12)
 _STEPS = 6
@@ -38,6 +40,7 @@ _SETTLED = 1e-3  # squared length of a step, in sigmas
 SWEPT = 0.5  # share of the field; smallest sweep of a recording that can validate
 
 
+@one_thread
 def agreement(recording: Recording, *calibrations: Calibration) -> tuple[Metrics, ...]:
     """Return how well calibrations with their terms agree with another recording of the same instrument.
 
@@ -77,6 +80,7 @@ def _predicted(recording: Recording, calibration: Calibration) -> Twin:
     return _own_bias(problem, as_model(problem, calibration))
 
 
+@one_thread
 def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, ...]:
     """Return the parameters that differ when another recording of the same instrument is fitted, largest first.
 
@@ -130,11 +134,12 @@ def _symmetric(soft_iron: Array) -> Array:
 def _prepared(recording: Recording, calibration: Calibration) -> Recording:
     """Return the recording with the gyroscope in the axes of the calibration, and held samples at their own times."""
     needs_gyroscope(recording)
+    recording = without_faults(recording).recording
     for term in calibration.terms:
         if term.name == "axis-order" and recording.angular_rate is not None:
             turned = recording.angular_rate @ np.reshape(term.value, (3, 3)).T
             recording = replace(recording, angular_rate=turned)
-    return without_channel_holes(settled(recording, ())[0])[0]
+    return settled(without_channel_holes(recording)[0], ())[0]
 
 
 def swept(recording: Recording) -> float:

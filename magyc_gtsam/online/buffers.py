@@ -173,11 +173,12 @@ class SampleBuffer:
     def _bound(self) -> None:
         """Keep only a minute of one sensor's samples while the other is silent, since they cannot be used."""
         mag, gyro = self._magnetometer.rows[:, 0], self._gyroscope.rows[:, 0]
-        if mag[-1] > gyro[-1] + 2 * _WAITING:
+        latest = mag[-1] if len(mag) else gyro[0]  # samples without rates were dropped
+        if latest > gyro[-1] + 2 * _WAITING:
             known = len(self._numbers)
-            self._magnetometer.keep(known, mag[known:] >= mag[-1] - _WAITING)
-        elif gyro[-1] > mag[-1] + 3 * _WAITING:
-            known = int(np.searchsorted(gyro, mag[-1] + _WAITING))
+            self._magnetometer.keep(known, mag[known:] >= latest - _WAITING)
+        elif gyro[-1] > latest + 3 * _WAITING:
+            known = int(np.searchsorted(gyro, latest + _WAITING))
             self._gyroscope.keep(known, gyro[known:] >= gyro[-1] - _WAITING)
             self._measured = min(self._measured, known)
 

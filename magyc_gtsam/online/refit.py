@@ -193,7 +193,7 @@ def _report(online: SmootherState, recording: Recording, fit: Fit, count: int) -
     estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
     belief.doubt = "" if fit.skew is None else fit.skew.doubt
     if belief.past is None:
-        belief.contradictions = prior_contradictions(recording, online.fit_options)
+        belief.contradictions = prior_contradictions(recording, online.fit_options, fit)
     if online.settings.walks:  # the residuals' correlation includes that of the walk
         estimate = estimate._replace(colour=1.0)
     else:

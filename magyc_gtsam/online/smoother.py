@@ -153,13 +153,13 @@ class OnlineSmoother:
             return belief.report
         ending = online.recording(None, belief.tail)
         if belief.past is None and belief.front is None and len(online.numbers()) <= _MOST_REFITTED:
-            doubts = (
-                prior_contradictions(online.recording(None), online.fit_options) if online.prior_applies else []
-            )
             recording, fit = ending, refit_from_windows(online, self._integrated)
             if fit is None:
                 recording = online.recording(None)
                 fit, _ = fit_samples(online, recording, False)
+            doubts = []
+            if online.prior_applies:
+                doubts = prior_contradictions(online.recording(None), online.fit_options, fit)
             calibration = report_of(online, recording, fit, change=self._recent_change(fit), doubts=doubts)
             # The clock drift of the last refit, or of all windows if that found none.
             drift = belief.drift

@@ -250,10 +250,7 @@ class SmootherState:
         """Return the samples of the windows from `first` up to `stop`; None for no limit."""
         magnetometer, gyroscope = self.buffer.between(first, stop, self.delay)
         result = Recording.from_streams(magnetometer, gyroscope, angular_rate_is=self.settings.angular_rate_is)
-        stamped = result.magnetic_field_stamped  # the buffer holds samples alone, some equal to the one before
-        if np.array_equal(result.magnetic_field_fresh, stamped):
-            return result
-        return replace(result, magnetic_field_fresh=stamped)
+        return result.with_equal_samples()  # the buffer holds samples alone
 
     def fit_tail(self, stop: int) -> Fit:
         """Fit the tail up to window `stop`, given the head."""

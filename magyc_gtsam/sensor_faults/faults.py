@@ -53,6 +53,7 @@ class SensorFaults:
         repeated = recording.time[recording.magnetic_field_stamped & ~recording.magnetic_field_fresh]
         turns = recording.angular_rate is not None and "angular_rate" in sensors
         faults.take(field, recording.gyroscope if turns else Samples(np.empty(0), np.empty((0, 3))), repeated)
+        faults.full_scale.conclude()
         faults.gyroscope.conclude()
         return faults
 

@@ -93,6 +93,12 @@ class FullScale:
                 self._new = self._new[:0]
                 self._examine()
 
+    def conclude(self) -> None:
+        """Examine the samples of a batch that ends before the number given, since some were left out before."""
+        if len(self._new):
+            self._rows, self._new = np.vstack([self._rows, self._new])[-self._latest :], self._new[:0]
+            self._examine()
+
     def _examine(self) -> None:
         rows = self._rows
         beyond = np.stack([rows.min(axis=0) < self._levels[:, 0], rows.max(axis=0) > self._levels[:, 1]], axis=1)

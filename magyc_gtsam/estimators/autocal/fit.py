@@ -4,7 +4,7 @@
     minimise Σ ρ(‖K x̂_j + b − m_j‖²) over K (upper triangular), b and all x̂_j                                  (8)
 
 The minimisation starts from the L1 ellipsoid (and from an L1 sphere if that fails), with the kernels ρ of (9) to (12)
-in `factors.robust`. The directions are eliminated: given K and b the best x̂_j is the closest point of the ellipsoid,
+in `factors.kernels`. The directions are eliminated: given K and b the best x̂_j is the closest point of the ellipsoid,
 and the Schur complement (33) with its 2×2 blocks reduces each sample to the residual along the ellipsoid's normal n_j,
 
     n_jᵀ r_j = −distance_j,   n_jᵀ ∂r_j/∂(k, b)   (1×9)
@@ -56,7 +56,7 @@ class AutocalFit:
         direction: (3, n) x̂.
         sigma: noise per axis, given or estimated; `width` (τ) is √3 times that unless given.
         width: τ.
-        cost: Σ ρ of e_j = distance_j/σ, in the convention of `factors.robust`.
+        cost: Σ ρ of e_j = distance_j/σ, in the convention of `factors.kernels`.
         iterations: number over all noise scales.
         converged: whether the stopping rule was met.
         message: why it stopped.

@@ -13,7 +13,7 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.preparation import Streams
 
 _BLOCK = 64  # samples after which the order of the two may have changed, by a lost sample
-_MOST = 20000  # most samples used
+_BLOCKS = 300  # most blocks used, evenly from the whole log
 _LEAST = 256  # samples
 _SHARE = 3 / 8  # variance of a sample's alternation by itself over that of its noise
 _SIGNIFICANT = 18.0  # gain in log-likelihood; 29 real logs reach 1.6, 240 simulated ones 6.7
@@ -45,12 +45,15 @@ def alternating(recording: Streams) -> Alternation | None:
     Each sample less the mean of its neighbours holds the alternation twice, and of motion its curvature, which does
     not alternate. Its mean over a block has the variance of white noise if there is no alternation.
     """
-    field = np.ascontiguousarray(recording.magnetometer.value[:_MOST].T)  # one axis per row
-    if field.shape[1] < _LEAST:
+    value = recording.magnetometer.value
+    if len(value) < _LEAST:
         return None
-    apart = 0.5 * field[:, 1:-1] - 0.25 * (field[:, :-2] + field[:, 2:])
-    apart[:, 1::2] *= -1
-    blocks = apart[:, : apart.shape[1] // _BLOCK * _BLOCK].reshape(3, -1, _BLOCK)
+    first = _BLOCK * np.arange((len(value) - 2) // _BLOCK)
+    if len(first) > _BLOCKS:
+        first = first[np.linspace(0, len(first) - 1, _BLOCKS).astype(int)]
+    field = value.T[:, first[:, None] + np.arange(_BLOCK + 2)]  # axes, blocks, samples with their neighbours
+    blocks = 0.5 * field[..., 1:-1] - 0.25 * (field[..., :-2] + field[..., 2:])
+    blocks[..., 1::2] *= -1
     mean = blocks.mean(axis=2)
     # By each block's own scatter: that of rounded readings is in a few blocks, where one is near a step.
     inside = np.square(blocks - mean[:, :, None]).sum(axis=2)

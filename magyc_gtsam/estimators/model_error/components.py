@@ -50,6 +50,9 @@ def principal(normal: Array, score: Array) -> PrincipalAxes:
 
 
 _VARIANCE_GRID = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
+_ROUNDING = (
+    1e-9  # least share of yᵀy that columns leave; first-order columns of a poor fit could explain more than all
+)
 _SWEEPS = 3  # most sweeps over the groups
 _CONVERGED = 0.1  # relative change of a variance below which it has converged
 _LEAST_GAIN = 3.0  # gain in log-likelihood that a group must have beside the others
@@ -108,7 +111,7 @@ def log_likelihoods(
     first = np.cumsum([0, *sizes[:-1]])
     spread = 1 + np.repeat(variance, sizes, axis=0) * value[:, None]  # every axis of every group, (K, m)
     explained = np.add.reduceat(pull[:, None] ** 2 / spread, first)
-    left = np.maximum(square - variance * explained, 1e-9 * square)
+    left = np.maximum(square - variance * explained, _ROUNDING * square)
     return -0.5 * (np.add.reduceat(np.log(spread), first) + freedom * np.log(left / square)), left
 
 
@@ -195,7 +198,8 @@ class FixedColumns(NamedTuple):
             return cls(active, None, np.zeros(0), square)
         factor = cho_factor(normal[np.ix_(active, active)] + np.diag(1 / prior[active]))
         solved = cho_solve(factor, score[active])
-        return cls(active, factor, solved, square - float(score[active] @ solved))
+        left = max(square - float(score[active] @ solved), _ROUNDING * square)
+        return cls(active, factor, solved, left)
 
     def explained(self, across: Array) -> tuple[Array, Array]:
         """Return what these columns explain of others' G (k, k) and s (k,), given their common block of G (K, k)."""
@@ -216,6 +220,6 @@ def _posterior(
     kept = np.ix_(active, active)
     covariance = np.linalg.inv(normal[kept] + np.diag(1 / prior[active]))
     mean[active] = covariance @ score[active]
-    level = max(square - float(score[active] @ mean[active]), 1e-9 * square) / freedom
+    level = max(square - float(score[active] @ mean[active]), _ROUNDING * square) / freedom
     second[kept] = level * covariance + np.outer(mean[active], mean[active])
     return second, level, mean

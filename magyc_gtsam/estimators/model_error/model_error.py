@@ -9,7 +9,7 @@ are added in proportion to their posterior probability.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array
 
-# Gain in log-likelihood from which a family counts; any of 15 reaches it by chance in 1 of 600 logs.
+# Gain in log-likelihood from which a family counts; any of some twenty reaches it by chance in 1 of 600 logs.
 _SIGNIFICANT = 7.0
 # Gain of any family tested so far from which those of stage 1, then those of stage 2 are tested. Of 1,050 logs with a
 # simulated fault that a family shows (gain above `_SIGNIFICANT`), stage 0 passes all but 5; of 864 that one of stage 2
@@ -64,6 +64,16 @@ class ModelError:
     def probable(self) -> Array:
         """(P, P) covariance without the effects that are merely possible."""
         return self.covariance - sum((c.covariance for c in self.possible), np.zeros_like(self.covariance))
+
+    def only(self, names: Set[str]) -> ModelError:
+        """Return the error with those effects that the data show which have one of the names."""
+        left = [c for c in self.components if c.name not in names]
+        if not left:
+            return self
+        covariance = self.covariance - sum((c.covariance for c in left), np.zeros_like(self.covariance))
+        return replace(
+            self, covariance=covariance, components=tuple(c for c in self.components if c.name in names)
+        )
 
     def beside(self, other: Component) -> ModelError:
         """Return the error with another component, of the same parameters, or of more or fewer of them."""

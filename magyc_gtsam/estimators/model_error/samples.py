@@ -36,6 +36,7 @@ _NOISY = 1.5  # ratio of noise to the distance of the two values from which nois
 _LOST = 0.01  # share of the recording
 _TOGETHER = 0.1  # share of the mean interval below which two samples are stamped together
 _LEAST_BURSTS = 20
+_CONSTANT = 1e-12  # share of the mean square below which a variance is rounding
 _STANDING = 3.0  # times the noise's variance by which values change in a burst if they are one after the other
 # Ratio of the mean square of second differences to the variance below which the lost share is less than `_TOO_SLOW`.
 _ROUGH = 16 * _TOO_SLOW**2
@@ -210,7 +211,10 @@ def in_bursts(recording: Streams) -> str:
     kept = np.stack([np.interp(at + 0.5 * between, at, a) - np.interp(at - 0.5 * between, at, a) for a in angle.T])
     own = slice(*np.searchsorted(at, [at[0] + between, at[-1] - between]))
     fast = (rate - kept.T / between)[own].var(axis=0).sum() - rate.shape[1] * white_noise(rate) ** 2
-    lost = float(np.sqrt(max(fast, 0.0) / rate.var(axis=0).sum()))
+    whole = rate.var(axis=0).sum()
+    if whole <= _CONSTANT * np.square(rate).mean(axis=0).sum():  # a constant rate loses nothing
+        return ""
+    lost = float(np.sqrt(max(fast, 0.0) / whole))
     if lost < _TOO_SLOW:
         return ""
     return (

@@ -91,7 +91,8 @@ def restamped(recording: Recording, drift: float) -> Recording:
     if not drift:
         return recording
     time, field = recording.magnetometer
-    return recording.with_samples((slowed(time, recording.time[0], drift), field), recording.gyroscope)
+    stamps = slowed(time, recording.time[0], drift)
+    return recording.with_samples((stamps, field), recording.gyroscope).with_equal_samples()
 
 
 def slowed(time: Array, start: float, drift: float) -> Array:

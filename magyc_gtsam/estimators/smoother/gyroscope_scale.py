@@ -29,7 +29,8 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.recording import Array, Recording
 
-SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # estimated elements of the term `gyro-scale`
+SCALE = "gyro-scale"
+SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # estimated elements of this term
 _FAMILIES = ("gyroscope:scale", "gyroscope:scales")
 _ROUNDS = 6
 _SETTLED = 0.01  # squared length of a step in sigmas
@@ -68,7 +69,7 @@ class GyroscopeScale(NamedTuple):
     @property
     def term(self) -> Term:
         """The scales as a term of a calibration."""
-        return Term("gyro-scale", self.value, self.covariance, SCALED_AXES)
+        return Term(SCALE, self.value, self.covariance, SCALED_AXES)
 
     @property
     def cross(self) -> Array:
@@ -113,7 +114,7 @@ def with_scale(recording: Recording, fit: Fit, options: SmootherOptions) -> Scal
         if step @ np.linalg.solve(scale.covariance, step) < _SETTLED:
             break
         value = scale.value
-        corrected = _corrected(recording, value, fit.state.parameters[9:12])
+        corrected = corrected_rates(recording, value, fit.state.parameters[9:12])
         fit = fit_field_chain(corrected, options, start=fit.state.parameters)
         fit = _beside_scale(corrected, fit, value, options)
     return ScaleError(corrected, fit)
@@ -159,7 +160,8 @@ def _noise_shrunk(fit: Fit) -> Array:
     return result
 
 
-def _corrected(recording: Recording, value: Array, bias: Array) -> Recording:
+def corrected_rates(recording: Recording, value: Array, bias: Array) -> Recording:
     """Return the recording with its rates corrected for the scales (3,) about the bias (3,) rad/s."""
     time, rate = recording.gyroscope
-    return recording.with_samples(recording.magnetometer, (time, bias + (rate - bias) / (1 + value)))
+    corrected = time, bias + (rate - bias) / (1 + value)
+    return recording.with_samples(recording.magnetometer, corrected).with_equal_samples()

@@ -27,6 +27,7 @@ from magyc_gtsam.estimators.smoother.vertical import (
     vertical_of,
     vertical_sigma,
 )
+from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
@@ -77,7 +78,8 @@ class HeadingFact(UprightFact):
         up, counts, turn = found
         g, ahead = fit.state.direction, fit.chain.windows.rotation[0]
         level = np.linalg.norm(cross(ahead, up), axis=0) > 0.5  # otherwise the axis is nearly vertical
-        stamps = self._between(fit.chain.windows.time, counts & level)
+        taken = fit.chain.windows.time - fit.state.parameters[DELAY]
+        stamps = self._between(taken, counts & level)
         if len(stamps.before) < _LEAST:
             return self
         wrapped = _azimuth(g, ahead, up)

@@ -9,6 +9,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother import starts
 from magyc_gtsam.estimators.smoother.clock_drift import restamped
+from magyc_gtsam.estimators.smoother.gyroscope_scale import SCALE, corrected_rates
 from magyc_gtsam.estimators.smoother.noise_levels import weigh
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
@@ -49,6 +50,9 @@ def window_residuals(recording: Recording, calibration: Calibration) -> WindowRe
             f"method {calibration.method!r} estimates no gyroscope bias, so there are no window residuals"
         )
     recording = restamped(recording, calibration.configuration.get("clock_drift", 0.0))
+    for term in calibration.terms:
+        if term.name == SCALE:
+            recording = corrected_rates(recording, term.value, calibration.gyro_bias)
     samples = preintegrate(recording)
     windows = samples.integrate(calibration.gyro_bias, calibration.delay)
     noise = short_term_noise(recording)

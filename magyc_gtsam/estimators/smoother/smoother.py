@@ -65,8 +65,9 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     if options.clock_drift:
         recording = restamped(recording, options.clock_drift)
     fit = fit_field_chain(recording, options, progress=report)
-    doubts = prior_contradictions(recording, options)
-    calibration = calibration_of(recording, fit, options, doubts=doubts)
+    unexplained = model_error(fit, recording)
+    doubts = prior_contradictions(recording, options, fit, unexplained)
+    calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
     stretches = disturbed_stretches(recording, fit, options)
     change = hard_iron_change(recording, fit, calibration, options)
     doubt = "" if change is None else change.sentence(recording)
@@ -74,7 +75,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         doubt = instrument_change(recording, stretches, calibration, options, _of)
     if doubt:
         doubts = [doubt, *doubts]
-        calibration = calibration_of(recording, fit, options, doubts=doubts)
+        calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
 
     def refit(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
         fit = fit_field_chain(again, options, start=start, brief=True)
@@ -94,13 +95,33 @@ def _of(recording: Recording, options: SmootherOptions) -> Calibration:
     return calibration_of(recording, fit_field_chain(recording, options), options)
 
 
-def prior_contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
-    """Return where the data without it contradict the earlier calibration; the posterior would hide it as noise."""
+def prior_contradictions(
+    recording: Recording, options: SmootherOptions, fit: Fit, unexplained: ModelError | None = None
+) -> list[str]:
+    """Return where the data without it contradict the earlier calibration; the posterior would hide it as noise.
+
+    An effect that the data show without it counts in their uncertainty if they show it with it, too: beside little
+    motion, effects to first order of a calibration that is far from the minimum resemble anything.
+
+    Args:
+        recording: what was fitted.
+        options: with the prior.
+        fit: with the prior.
+        unexplained: the model error of that fit; None computes it.
+    """
     if options.prior is None:
         return []
-    alone = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
+    without = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
     with suppress(MagycError):  # without the prior the data do not determine a calibration
-        return contradictions(_of(recording, alone), options)
+        fit_alone = fit_field_chain(recording, without)
+        error = model_error(fit_alone, recording)
+        alone = calibration_of(recording, fit_alone, without, unexplained=error)
+        shown = model_error(fit, recording) if unexplained is None else unexplained
+        confirmed = error.only({component.name for component in shown.components})
+        if confirmed is not error:
+            narrower = calibration_of(recording, fit_alone, without, unexplained=confirmed)
+            alone = replace(alone, covariance=narrower.covariance)
+        return contradictions(alone, options, fit.chain.noise)
     return []
 
 

@@ -83,6 +83,7 @@ class Weighed:
             search=finer.search + finer.log - log,
             tied=float(np.logaddexp(self.tied, finer.tied + self.cell)),
             cell=self.cell + finer.cell,
+            everywhere=self.everywhere,
         )
 
 

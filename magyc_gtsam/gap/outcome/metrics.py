@@ -125,8 +125,9 @@ def heading_error(recording: Recording, calibration: Calibration) -> float | Non
     known = np.isfinite(recording.attitude).all(axis=1)
     if known.sum() < 10:
         return None
-    # The timing is not applied to the field; a late field is compared with the attitude at its own time instead.
-    still = replace(calibration, terms=tuple(t for t in calibration.terms if t.name != "timing"))
+    # The timing is not applied to the field; a late field is compared with the attitude at its own time instead. A tone
+    # was already taken from the readings.
+    still = replace(calibration, terms=tuple(t for t in calibration.terms if t.name not in ("timing", "tone")))
     field, time = still.corrected(recording), recording.time
     attitude = Slerp(time[known], Rotation.from_quat(recording.attitude[known]))
     fresh = known & recording.magnetic_field_fresh & (time - calibration.delay >= time[known][0])

@@ -88,7 +88,7 @@ def gap_of(
     word = verdict(found, result.leftover, open_places)
     turned = tuple(term for term in added if term.name == "axis-order")  # already corrected in the fitted data
     started = as_calibration(base, strength, (*known, *turned))
-    plainly, untrusted = judged(started, base, result.recording, strength)
+    plainly, untrusted = judged(started, base, first.recording, strength)
     before = after = measure(first.refit.twin, started, first.fine)
     used, effects, shifted = plainly, tuple[Effect, ...](), tuple[Moved, ...]()
     if word in ("closed", "open"):

@@ -8,8 +8,6 @@ two in every three), the part that is common to all ages remains unknown, and ca
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
@@ -44,7 +42,7 @@ def on_own_clock(recording: Recording) -> Recording:
     if own is None:
         return recording
     result = recording.with_samples((own, field), None if recording.angular_rate is None else recording.gyroscope)
-    return replace(result, magnetic_field_fresh=result.magnetic_field_stamped)  # equal samples are samples
+    return result.with_equal_samples()
 
 
 def _in_step(number: Array, rows: Array) -> Array | None:
