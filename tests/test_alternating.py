@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from magyc_gtsam import OnlineCalibrator, Recording, calibrate, simulate
+from magyc_gtsam.estimators.model_error.alternating import alternating
 
 
 def mixed(seed, share, lost=()):
@@ -47,3 +48,15 @@ def test_raw_and_calibrated_readings_in_one_stream_are_not_trusted():
         rows = slice(first, first + 300)
         online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
     assert not online.converged
+
+
+def test_an_alternation_is_found_wherever_it_is_in_a_long_log():
+    """Only the first 20,000 samples were looked at."""
+    time = 0.01 * np.arange(60000)
+    field = 40e-6 * np.column_stack([np.cos(0.1 * time), np.sin(0.1 * time), 0.3 * np.cos(0.07 * time)])
+    field += np.random.default_rng(0).normal(0, 3e-7, field.shape)
+    field[25000::2, 0] += 2e-6
+    recording = Recording(time, field, np.zeros_like(field))
+    found = alternating(recording)
+    assert 0.7e-6 < found.size < 1e-6
+    assert alternating(Recording(time[:25000], field[:25000], np.zeros((25000, 3)))) is None

@@ -199,3 +199,16 @@ def test_a_real_log_that_is_cut_off(shared_data: Path) -> None:
     found = find_clipped_field(replace(recording, magnetic_field=np.clip(recording.magnetic_field, -level, level)))
     assert found is not None
     assert found.share == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_row_of_zeros_does_not_hide_the_full_scale() -> None:
+    """A batch was examined once it had as many samples as the log has rows, and the zeros are left out before."""
+    recording = cut(mg.simulate("wide", duration=120, seed=1).recording, 0.05, 0.15e-6)
+    field = recording.magnetic_field.copy()
+    field[600] = 0
+    beside = mg.Recording(recording.time, field, recording.angular_rate)
+    clipped = without_faults(recording).clipped
+    assert clipped is not None
+    found = without_faults(beside).clipped
+    assert found is not None
+    assert (found.axes, found.shown) == (clipped.axes, clipped.shown)

@@ -13,6 +13,7 @@ from magyc_gtsam.cli import main
 from magyc_gtsam.estimators.smoother.clock_drift import restamped
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.io import write_mcap
+from magyc_gtsam.recording.held import with_chance_repeats
 from magyc_gtsam.simulation import AMPLITUDES, disturb
 from magyc_gtsam.study.efficiency import error, nees
 
@@ -134,3 +135,12 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     remedy = said.split("(--option ")[1].split(")")[0]
     assert main(["calibrate", str(log), "-o", str(tmp_path / "second"), "--option", remedy]) == 0
     assert mg.Calibration.load(tmp_path / "second" / "calibration.yaml").trusted
+
+
+def test_equal_samples_of_a_coarse_sensor_stay_samples_when_the_clock_is_corrected() -> None:
+    """They were taken for repeats of the one before, and the delay of such a log was 3 ms early."""
+    recording = mg.simulate("tiny", duration=100, seed=1).recording
+    field = np.round(recording.magnetic_field / 1.2e-6) * 1.2e-6
+    coarse = with_chance_repeats(mg.Recording(recording.time, field, recording.angular_rate))
+    assert (np.diff(coarse.magnetometer.value, axis=0) == 0).all(axis=1).any()
+    assert len(restamped(coarse, 1e-4).magnetometer.time) == len(coarse.magnetometer.time)

@@ -12,6 +12,7 @@ from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates
 from magyc_gtsam.gap.evidence.detectable import power_of
+from magyc_gtsam.gap.evidence.look import finer
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.result import Isolability
@@ -103,3 +104,14 @@ def test_the_power_is_of_the_motion_and_not_of_the_noise() -> None:
         powers.append(power_of("hard-iron-step", found["hard-iron-step"].everywhere))
     assert min(powers) > 0.8
     assert np.ptp(powers) < 0.15
+
+
+def test_a_refined_setting_keeps_what_every_setting_could_show() -> None:
+    """The power of a jump was of the twelve times around the one that noise prefers."""
+    recording = mg.simulate("wide", 60, seed=0).recording
+    twin = base_model(recording, None, short_term_noise(recording)).twin
+    beside = Beside.of_model(twin)
+    found = weigh(Candidates.of(twin, ("hard-iron-step",), ()), beside)["hard-iron-step"]
+    refined = finer(found, twin, beside, 0.0)
+    assert refined.log != found.log
+    assert refined.everywhere == found.everywhere

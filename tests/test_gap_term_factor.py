@@ -120,3 +120,13 @@ def test_what_is_no_variable_of_a_factor_is_refused() -> None:
             step,
             between=(58, 59),
         )
+
+
+def test_a_gyroscope_in_other_axes_is_refused() -> None:
+    """Its rates would be integrated as if they were in the magnetometer's axes."""
+    recording = mg.simulate("wide", duration=60, seed=2).recording
+    base = mg.calibrate(recording)
+    term = Term("hard-iron-drift", np.full(3, 1e-7), np.eye(3) * 1e-16)
+    turned = replace(base, terms=(Term("axis-order", np.eye(3)[[1, 0, 2]].ravel() * 1.0, np.zeros((9, 9))), term))
+    with pytest.raises(mg.MagycError, match="'axis-order' turns the gyroscope"):
+        term_factor(S(0), H(0), B(0), X(0), recording, turned, term)

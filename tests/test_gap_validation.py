@@ -162,3 +162,12 @@ def test_a_result_with_a_jump_holds_on_the_next_log(tmp_path: Path, capsys: pyte
     given = ["--calibration", str(tmp_path / "out" / "calibration.yaml"), "--candidates", "timing"]
     assert cli.main(["gap", str(tmp_path / "later.mcap"), *given, "-o", str(tmp_path / "next")]) == 0
     assert "note: hard-iron-step: found at " in capsys.readouterr().out
+
+
+def test_spikes_of_the_other_log_are_left_out_as_in_any(calibration: mg.Calibration) -> None:
+    recording = mg.simulate("wide", 300, seed=14).recording
+    rate = recording.angular_rate.copy()
+    rate[100::150] += 20.0
+    spiky = replace(recording, angular_rate=rate)
+    (clean,), (spoilt,) = agreement(recording, calibration), agreement(spiky, calibration)
+    assert spoilt.open_loop.rms < 1.1 * clean.open_loop.rms

@@ -8,7 +8,7 @@ import pytest
 from fact_slopes import check_slope
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam import Calibration, MagycError, calibrate, cli, simulate
+from magyc_gtsam import Calibration, MagycError, Recording, calibrate, cli, simulate
 from magyc_gtsam.estimators.smoother.heading import HeadingFact, heading_fact
 from magyc_gtsam.estimators.smoother.options import KnownHeading
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
@@ -118,3 +118,22 @@ def test_the_command_takes_it(tmp_path: Path, capsys) -> None:
     assert chosen["heading"] == ["course", pytest.approx(0.5 * DEGREE)]
     assert np.degrees(chosen["declination"]) == pytest.approx(5.6, abs=0.5)
     assert cli.main([*said.replace("--heading course", "--heading-sigma 1").split()]) == 2
+
+
+def test_a_late_magnetometer_is_compared_with_the_heading_at_its_own_time():
+    """The heading was taken at the stamp: 2.8° off on a vehicle that turns at 0.25 rad/s, 0.2 s late."""
+    time = np.arange(0, 120, 0.1)
+    angle = 0.25 * time
+    tilt = 0.5 * np.sin(0.4 * time)
+    attitude = Rotation.from_euler("zy", np.column_stack([angle, tilt]))
+    rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / 0.1
+    late = Rotation.from_euler("zy", np.column_stack([0.25 * (time - 0.2), 0.5 * np.sin(0.4 * (time - 0.2))]))
+    random = np.random.default_rng(1)
+    field = late.inv().apply([20e-6, 0, 40e-6]) + random.normal(0, 3e-7, (len(time), 3))
+    middle = 0.5 * (rate[1:] + rate[:-1]) + random.normal(0, 2e-3, (len(time) - 2, 3))
+    down = attitude.inv().apply([0, 0, -9.81])[1:-1]
+    course = np.degrees(angle[1:-1]) % 360
+    recording = Recording(time[1:-1], field[1:-1], middle, acceleration=down, channels={"course": course})
+    found = calibrate(recording, heading=("course", DEGREE), declination=0.0)
+    assert found.delay == pytest.approx(0.2, abs=0.01)
+    assert abs(found.diagnostics["heading"]["measured_deg"]) < 0.3

@@ -98,7 +98,12 @@ def test_a_fault_of_a_sensor_has_one_detector() -> None:
     assert observing == detectors.keys() | parts
     assert all(called[name] == {"sensor_faults/faults.py"} for name in detectors)
     assert called["SensorFaults"] == {"online/calibrator.py"}
-    assert called["without_faults"] == {"estimators/__init__.py", "gap/find.py", "gap/many/one_log.py"}
+    assert called["without_faults"] == {
+        "estimators/__init__.py",
+        "gap/find.py",
+        "gap/validation.py",
+        "gap/many/one_log.py",
+    }
 
 
 def test_a_type_has_its_name_for_itself() -> None:

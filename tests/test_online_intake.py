@@ -168,3 +168,22 @@ def test_an_error_of_single_samples_costs_no_other_sample() -> None:
     with pytest.raises(mg.MagycError, match="likely unit: ms"):
         again.update(1e3 * float(time[15]), field[15], rate[15])
     assert again.taken_until == (-np.inf, -np.inf)
+
+
+def test_a_gyroscope_alone_after_a_pause_of_both_goes_on() -> None:
+    """The magnetometer's samples in the gyroscope's pause are dropped, and none was left to compare stamps with."""
+    online, random = mg.OnlineCalibrator(), np.random.default_rng(0)
+
+    def turn(time: np.ndarray) -> None:
+        online.update(time, angular_rate=0.2 + random.normal(0, 0.01, (len(time), 3)))
+
+    def read(time: np.ndarray) -> None:
+        online.update(time, 3e-5 + random.normal(0, 1e-7, (len(time), 3)))
+
+    read(np.arange(9.0, 10.55, 0.1) - 0.02)
+    turn(10 + 0.01 * np.arange(8))
+    read(np.arange(10.6, 14.9, 0.1) - 0.02)
+    for second in range(4):
+        turn(15 + second + 0.01 * np.arange(100))
+    read(np.arange(15, 19, 0.1))
+    assert online.progress.sentence

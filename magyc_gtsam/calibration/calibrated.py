@@ -8,6 +8,7 @@ from dataclasses import replace
 from magyc_gtsam.calibration.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import TermWarning
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.held import with_equal_samples
 
 
 def lag_of(calibration: Calibration) -> float:
@@ -41,7 +42,7 @@ def without_lag(recording: Recording, lag: float) -> Recording:
         return recording
     time, field = recording.magnetometer
     gyroscope = None if recording.angular_rate is None else recording.gyroscope
-    return recording.with_samples((time - lag, field), gyroscope).with_equal_samples()
+    return with_equal_samples(recording.with_samples((time - lag, field), gyroscope))
 
 
 def calibrated_on_time(calibration: Calibration, recording: Recording) -> Recording:

@@ -19,6 +19,7 @@ from magyc_gtsam.estimators.smoother.preparation import (
     short_term_noise,
     suitable_turn,
 )
+from magyc_gtsam.estimators.smoother.reasons import misfits
 from magyc_gtsam.estimators.smoother.search import (
     disturbed,
     fit_field_chain,
@@ -28,7 +29,7 @@ from magyc_gtsam.estimators.smoother.search import (
     with_skew,
 )
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.estimators.smoother.smoother import misfits, prior_contradictions
+from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
 from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration

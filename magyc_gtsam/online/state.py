@@ -24,6 +24,7 @@ from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted
 from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.recording.held import with_equal_samples
 from magyc_gtsam.storage.json_types import from_typed_json, typed_json
 
 FIRST = 12  # windows before the first fit
@@ -250,7 +251,7 @@ class SmootherState:
         """Return the samples of the windows from `first` up to `stop`; None for no limit."""
         magnetometer, gyroscope = self.buffer.between(first, stop, self.delay)
         result = Recording.from_streams(magnetometer, gyroscope, angular_rate_is=self.settings.angular_rate_is)
-        return result.with_equal_samples()  # the buffer holds samples alone
+        return with_equal_samples(result)  # the buffer holds samples alone
 
     def fit_tail(self, stop: int) -> Fit:
         """Fit the tail up to window `stop`, given the head."""

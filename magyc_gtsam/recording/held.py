@@ -66,6 +66,14 @@ class RepeatedEntries:
         return cls(share, held, repetition_of(counts, histogram(runs)))
 
 
+def with_equal_samples(recording: Recording) -> Recording:
+    """Return the recording with every stamped magnetometer entry as a sample, also those equal to the one before.
+
+    `Recording.with_samples` takes such entries for repeats of a sample.
+    """
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_stamped)
+
+
 def with_chance_repeats(recording: Recording) -> Recording:
     """Return the recording with those repeated entries as samples that repeat because of coarse steps."""
     fresh, stamped = recording.magnetic_field_fresh, recording.magnetic_field_stamped

@@ -283,13 +283,6 @@ class Recording:
             magnetic_field_unit=self.magnetic_field_unit,
         )
 
-    def with_equal_samples(self) -> Recording:
-        """Return the recording with every stamped magnetometer entry as a sample, also those equal to the one before.
-
-        `with_samples` takes such entries for repeats of a sample.
-        """
-        return replace(self, magnetic_field_fresh=self.magnetic_field_stamped)
-
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, (
             {f.name: getattr(self, f.name) for f in fields(self)} | {"channels": dict(self.channels)},

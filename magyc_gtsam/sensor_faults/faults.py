@@ -34,9 +34,12 @@ class SensorFaults:
         self.spikes = Spikes(), Spikes()
         self.cut_off = CutOff()
         self.full_scale = FullScale(samples, samples) if samples is not None else FullScale()
-        self.repeats = Repeats()
-        self.magnetometer = StuckAxes()
-        self.gyroscope = StuckAxes(self._field.turned, *([np.inf] if whole else []))
+        self.repeats = Repeats(None) if whole else Repeats()
+        if whole:
+            self.magnetometer = StuckAxes(remembered=None)
+            self.gyroscope = StuckAxes(self._field.turned, np.inf, remembered=None)
+        else:
+            self.magnetometer, self.gyroscope = StuckAxes(), StuckAxes(self._field.turned)
         self._zero_gates = SampleGate(self.zeros), SampleGate(self.zero_rates)
         # If many neighbours are spikes, the first detector misses some, which the second finds once the others are
         # removed.

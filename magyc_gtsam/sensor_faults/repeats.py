@@ -18,9 +18,14 @@ _REMEMBERED = 50  # latest stretches kept
 
 
 class Repeats:
-    """Find the stretches in which the magnetometer repeats one sample while the gyroscope turns."""
+    """Find the stretches in which the magnetometer repeats one sample while the gyroscope turns.
 
-    def __init__(self) -> None:
+    Args:
+        remembered: number of the latest stretches that are kept; None keeps all.
+    """
+
+    def __init__(self, remembered: int | None = _REMEMBERED) -> None:
+        self._kept = slice(None if remembered is None else -remembered, None)
         self._last = np.full(4, np.nan)  # the repeated sample, time and value
         self._until, self._count = np.nan, 0  # stamp of the last repeat, and number of repeats
         self._samples, self._first = 0, np.nan  # number of samples, and stamp of the first
@@ -39,7 +44,7 @@ class Repeats:
         time = self._gyroscope.rows[:, 0]
         asked = self._over[:, 1] <= time[-1]
         turned = [self._turned(row[0], row[1]) for row in self._over[asked]]
-        self._found = np.vstack([self._found, self._over[asked][np.array(turned, dtype=bool)]])[-_REMEMBERED:]
+        self._found = np.vstack([self._found, self._over[asked][np.array(turned, dtype=bool)]])[self._kept]
         self._over = self._over[~asked]
         since = np.fmin(self._over[:, 0].min(initial=np.inf), self._last[0])
         self._gyroscope.cut(int(np.searchsorted(time, np.fmax(since, time[-1] - _LATEST))))

@@ -69,11 +69,15 @@ class StuckAxes:
         turned: called with the rows (n, 4) of time and value during which all axes were constant; returns whether the
             field turned meanwhile, or None while that is not known. Not called for a magnetometer.
         longest: time after which a constant gyroscope counts as at rest if the field does not turn, s.
+        remembered: number of the latest stretches that are kept; None keeps all.
     """
 
-    def __init__(self, turned: Turned = lambda rows: False, longest: float = _LONGEST) -> None:
+    def __init__(
+        self, turned: Turned = lambda rows: False, longest: float = _LONGEST, remembered: int | None = _REMEMBERED
+    ) -> None:
         self.pending = np.inf
         self._turned, self._longest = turned, longest
+        self._kept = slice(None if remembered is None else -remembered, None)
         self._stuck = np.zeros(3, dtype=bool)
         self._begun = np.full(3, np.nan)  # s, stamp from which each axis has its value
         self._run = np.zeros(3, dtype=int)  # consecutive equal values
@@ -208,7 +212,7 @@ class StuckAxes:
         """Begin a stretch of the axes that are stuck now."""
         axes, value = tuple(self._stuck.tolist()), tuple(self._last[1:].tolist())
         start, end = float(self._begun[self._stuck].min()), float(self._last[0])
-        self._stretches = [*self._stretches, Stretch(axes, value, start, end, held)][-_REMEMBERED:]
+        self._stretches = [*self._stretches, Stretch(axes, value, start, end, held)][self._kept]
 
     def rejects(self, time: Array) -> np.ndarray:
         """Return (n,) bool: the samples at which an axis was known to be stuck."""

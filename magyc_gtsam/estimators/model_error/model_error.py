@@ -38,7 +38,7 @@ _ALL_TRUSTED = 0.995
 # Standard deviations of the added autocorrelations (`Fit.slow`) from which a fit is doubted: at most -0.2 on 384 clean
 # logs. A current of 0.45 µT that is switched every half minute has 3 to 5.
 _SLOW = 0.0
-_LEAST_WINDOWS = 30
+_LEAST_WINDOWS = 8  # of a fit, too
 _HARD_IRON = slice(6, 9)
 _REPORTED_SHARE = 0.8  # probability above which an averaged effect is reported as present,
 _REPORTED_GAIN = 1.0  # and gain in nats above which it is
@@ -66,14 +66,10 @@ class ModelError:
         return self.covariance - sum((c.covariance for c in self.possible), np.zeros_like(self.covariance))
 
     def only(self, names: Set[str]) -> ModelError:
-        """Return the error with those effects that the data show which have one of the names."""
-        left = [c for c in self.components if c.name not in names]
-        if not left:
-            return self
-        covariance = self.covariance - sum((c.covariance for c in left), np.zeros_like(self.covariance))
-        return replace(
-            self, covariance=covariance, components=tuple(c for c in self.components if c.name in names)
-        )
+        """Return the error by those effects that the data show which have one of the names."""
+        kept = tuple(c for c in self.components if c.name in names)
+        covariance = sum((c.covariance for c in kept), np.zeros_like(self.covariance))
+        return replace(self, covariance=covariance, components=kept, possible=())
 
     def beside(self, other: Component) -> ModelError:
         """Return the error with another component, of the same parameters, or of more or fewer of them."""

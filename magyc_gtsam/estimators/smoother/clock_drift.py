@@ -23,6 +23,7 @@ from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.held import with_equal_samples
 
 _SIGNIFICANT = 6.0  # sigmas of a significant drift; 280 clean logs reach 3.3, real instruments 4.8
 _LARGEST_SHIFT = 0.5  # sigmas by which a drift may move a parameter
@@ -92,7 +93,7 @@ def restamped(recording: Recording, drift: float) -> Recording:
         return recording
     time, field = recording.magnetometer
     stamps = slowed(time, recording.time[0], drift)
-    return recording.with_samples((stamps, field), recording.gyroscope).with_equal_samples()
+    return with_equal_samples(recording.with_samples((stamps, field), recording.gyroscope))
 
 
 def slowed(time: Array, start: float, drift: float) -> Array:

@@ -28,6 +28,7 @@ from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.held import with_equal_samples
 
 SCALE = "gyro-scale"
 SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # estimated elements of this term
@@ -164,4 +165,4 @@ def corrected_rates(recording: Recording, value: Array, bias: Array) -> Recordin
     """Return the recording with its rates corrected for the scales (3,) about the bias (3,) rad/s."""
     time, rate = recording.gyroscope
     corrected = time, bias + (rate - bias) / (1 + value)
-    return recording.with_samples(recording.magnetometer, corrected).with_equal_samples()
+    return with_equal_samples(recording.with_samples(recording.magnetometer, corrected))

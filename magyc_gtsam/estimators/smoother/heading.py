@@ -27,7 +27,6 @@ from magyc_gtsam.estimators.smoother.vertical import (
     vertical_of,
     vertical_sigma,
 )
-from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
@@ -78,8 +77,8 @@ class HeadingFact(UprightFact):
         up, counts, turn = found
         g, ahead = fit.state.direction, fit.chain.windows.rotation[0]
         level = np.linalg.norm(cross(ahead, up), axis=0) > 0.5  # otherwise the axis is nearly vertical
-        taken = fit.chain.windows.time - fit.state.parameters[DELAY]
-        stamps = self._between(taken, counts & level)
+        windows = fit.chain.windows
+        stamps = self._between(windows.time - windows.delay, counts & level)
         if len(stamps.before) < _LEAST:
             return self
         wrapped = _azimuth(g, ahead, up)

@@ -12,10 +12,11 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.dip import dip_of, known_dip
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.noise_levels import misfit
 from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
 from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.estimators.smoother.vertical import MODEL
-from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, SensorNoise
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.facts import Fact, IronFact, LinearFact, StrengthFact, field_strength, quadratic
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import ENTRIES, vech
@@ -24,9 +25,6 @@ from magyc_gtsam.recording import Recording
 
 _FLOOR = np.r_[np.full(6, 1e-5), np.full(3, 1e-9)]  # least sigmas of a prior, 1 and T
 _CONTRADICTS = 31.8  # squared Mahalanobis distance: the 99.99 % point of χ² of eight degrees of freedom
-# Times the magnetometer's noise that a prior may cost. Right priors on 160 trusted logs with faults cost up to 2 times,
-# those of other units on logs of little motion, whose own uncertainty excludes nothing, 7 times and more.
-_NOISIER = 3.0
 ENOUGH = "this motion is enough with"  # start of the sentence on facts that compensate for too little motion
 
 
@@ -146,14 +144,26 @@ def _skew(prior: Calibration, options: SmootherOptions) -> LinearFact | None:
     )
 
 
-def contradictions(alone: Calibration, options: SmootherOptions, noise: SensorNoise) -> list[str]:
+def is_worse(fit: Fit, alone: Fit, options: SmootherOptions) -> bool:
+    """Return whether the data and the prior fit together worse than by chance, at the noise of the data alone."""
+    if len(fit.chain.windows) != len(
+        alone.chain.windows
+    ):  # one of them has shorter windows, since it rejects many
+        return True
+    noise = alone.chain.noise
+    from_prior, _ = known_of(options).facts[0].residual(fit.state.parameters)
+    worse = (misfit(fit, noise) - misfit(alone, noise)) / alone.colour + float(from_prior @ from_prior)
+    return worse > _CONTRADICTS
+
+
+def contradictions(alone: Calibration, options: SmootherOptions, sufficient: bool) -> list[str]:
     """Return a sentence on the parameters in which the data alone and the prior contradict each other, or nothing.
 
     Args:
         alone: the calibration of the same recording without the prior; directions that it does not determine cannot
             contradict.
         options: with the prior, widened by the changes allowed since.
-        noise: of the fit with the prior, which contradicts if it needs much more noise than the data have without it.
+        sufficient: whether the data need no prior.
     """
     fact = known_of(options).facts[0]
     assert isinstance(fact, IronFact)
@@ -167,8 +177,7 @@ def contradictions(alone: Calibration, options: SmootherOptions, noise: SensorNo
     counted = total.copy()
     counted[:6, :6] += np.outer(fact.shape, fact.shape)  # excludes the scale, which neither determines
     root = _root(counted)
-    noisier = noise.magnetometer > _NOISIER * alone.noise["magnetic_field"]
-    if float(np.sum((root @ away) ** 2)) < _CONTRADICTS and not noisier:
+    if float(np.sum((root @ away) ** 2)) < _CONTRADICTS:
         return []
     known, ratio = np.sqrt(np.diag(before)), np.abs(away) / np.sqrt(np.diag(total))
     worst = [int(k) for k in np.argsort(-ratio)[:3] if ratio[k] > 0.5 * ratio.max()]
@@ -176,7 +185,7 @@ def contradictions(alone: Calibration, options: SmootherOptions, noise: SensorNo
         f"{_difference_text(k, float(away[k]), float(known[k]))} ({ratio[k]:.1f} sigmas)" for k in worst
     )
     walks = sorted({"soft_iron_walk" if k < 6 else "hard_iron_walk" for k in worst})
-    if alone.trusted:
+    if sufficient:
         remedy = "believe the data, which need no prior to be enough: omit it, or allow for a change"
     else:
         remedy = (

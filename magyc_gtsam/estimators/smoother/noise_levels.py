@@ -137,6 +137,13 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     return SensorNoise(*better.tolist()), float(left.max()), freedom
 
 
+def scatter(fit: Fit) -> SensorNoise:
+    """Return the noise levels that the residuals show, which are those of the fit unless these were given."""
+    squares, redundancy = squares_and_redundancies(fit, fit.residuals)
+    shown = np.array(fit.chain.noise) * np.sqrt(squares / np.maximum(redundancy, 1.0))
+    return SensorNoise(*shown.tolist())
+
+
 def squares_and_redundancies(fit: Fit, residuals: Residuals) -> tuple[Array, Array]:
     """Return the weighted squares Q (2,) of windows and links, and their redundancies D (2,)."""
     chain, weights = fit.chain, fit.weights

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.gauge import IronScale, doubt_strength, fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.model_error.verdict import variation
@@ -27,12 +26,13 @@ from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import (
     contradictions,
     doubtful_strength,
+    is_worse,
     known_of,
     remedies,
 )
-from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import Streams
+from magyc_gtsam.estimators.smoother.reasons import contradicted_options, doubts_of, jumped
 from magyc_gtsam.estimators.smoother.search import Progress, fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.estimators.smoother.vertical import upright_facts
@@ -41,12 +41,8 @@ from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.observability import Observability, assess
+from magyc_gtsam.observability import assess
 from magyc_gtsam.recording import Array, Recording
-
-_MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
-_LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
-_LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
 
 
 def calibrate_smoother(recording: Recording, *, progress: Progress | None = None, **chosen: Any) -> Calibration:
@@ -100,8 +96,8 @@ def prior_contradictions(
 ) -> list[str]:
     """Return where the data without it contradict the earlier calibration; the posterior would hide it as noise.
 
-    An effect that the data show without it counts in their uncertainty if they show it with it, too: beside little
-    motion, effects to first order of a calibration that is far from the minimum resemble anything.
+    The uncertainty of the data alone counts an effect if the fit with the prior shows it, too: beside little motion,
+    far from the minimum, effects resemble anything. For the same reason the fit must also be worse with the prior.
 
     Args:
         recording: what was fitted.
@@ -114,14 +110,14 @@ def prior_contradictions(
     without = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
     with suppress(MagycError):  # without the prior the data do not determine a calibration
         fit_alone = fit_field_chain(recording, without)
+        if not is_worse(fit, fit_alone, options):
+            return []
         error = model_error(fit_alone, recording)
-        alone = calibration_of(recording, fit_alone, without, unexplained=error)
         shown = model_error(fit, recording) if unexplained is None else unexplained
         confirmed = error.only({component.name for component in shown.components})
-        if confirmed is not error:
-            narrower = calibration_of(recording, fit_alone, without, unexplained=confirmed)
-            alone = replace(alone, covariance=narrower.covariance)
-        return contradictions(alone, options, fit.chain.noise)
+        alone = calibration_of(recording, fit_alone, without, unexplained=confirmed)
+        sufficient = calibration_of(recording, fit_alone, without, unexplained=error).trusted
+        return contradictions(alone, options, sufficient)
     return []
 
 
@@ -183,7 +179,8 @@ def calibration_of(
     parameters, _, skew, scale = known
     unit, observability = judgement.strength, judgement.observability
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
-    reasons += contradicted + _jumped(fit, recording) + _reasons(fit, unit, observability)
+    reasons += contradicted + contradicted_options(fit, options, unexplained, unit)
+    reasons += jumped(fit, recording) + doubts_of(fit, unit, observability)
     if not observability.observable:
 
         def enough(covariance: Array) -> bool:
@@ -243,54 +240,6 @@ def calibration_of(
         | {name: said for fact in upright for name, said in fact.diagnostics.items()},
         configuration=dict(options.configuration),
     )
-
-
-def _jumped(fit: Fit, recording: Recording) -> list[str]:
-    """Return a sentence on the field's jumps if the fit rejects much of the recording, or much of its end."""
-    latest = fit.weights.window[-max(int(_LATEST * len(fit.weights.window)), 1) :]
-    if fit.weights.window.mean() >= _LEAST_TRUSTED and latest.mean() >= _LEAST_TRUSTED:
-        return []
-    jumps = field_jumps(recording)
-    if not jumps:
-        return []
-    named = " and ".join(f"at {jump.time:.0f} s by {jump.size * 1e6:.0f} µT" for jump in jumps)
-    return [f"the field jumped {named}: calibrate a stretch between (start=, end=), or run `mg.find_gap`"]
-
-
-def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:
-    """Return the reasons not to trust the result because the model does not fit, the root cause first."""
-    reasons = []
-    left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
-    misfit = ""
-    if left > _MOST_UNEXPLAINED * field_strength:
-        misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field)"
-    elif observable and not positive(fit):
-        misfit = "only a soft iron that mirrors the field fits, which no instrument has"
-    if misfit:
-        reasons.append(
-            f"{misfit}: the field or the instrument changed during the recording; choose an interval (start=, end=)"
-        )
-    trusted = float(fit.weights.window.mean())
-    if trusted < _LEAST_TRUSTED:
-        reasons.append(
-            f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated"
-        )
-    return reasons
-
-
-def _reasons(fit: Fit, field_strength: float, observability: Observability) -> list[str]:
-    """Return the reasons not to trust the result, the root cause first; empty if there are none."""
-    reasons = misfits(fit, field_strength, observability.observable)
-    if not observability.observable:
-        swept = np.ptp(fit.chain.windows.field, axis=1) * 1e6
-        along = ", ".join(f"{value:.0f}" for value in swept)
-        much = "; turning over sweeps some 90 along each" if swept.min() < 90 else ""
-        reasons.append(
-            f"too little motion (the field swept {along} µT along x, y, z{much}): {observability.weak[0].sentence}"
-        )
-    if not fit.converged:
-        reasons.append(f"no convergence within {fit.iterations} iterations")
-    return reasons
 
 
 def _disturbed(fit: Fit) -> list[list[float]]:

@@ -33,6 +33,7 @@ def measure(
     fine: Fine | None = None,
     fitted: Array | None = None,
     variation: FieldVariation | None = None,
+    cleaned: Recording | None = None,
 ) -> Metrics:
     """Compute all metrics of a model on its recording.
 
@@ -42,6 +43,7 @@ def measure(
         fine: innovations of single samples, for lines above the frequencies of the motion; None leaves them out.
         fitted: columns (q, 3n) of what was fitted to this recording; None for all parameters and terms of the model.
         variation: of the field, which the held-out likelihood takes into account; None for a constant field.
+        cleaned: the recording without the effects on single samples that the calibration has; None if the model's is.
     """
     v = twin.residual()
     lines: tuple[Line, ...] = ()
@@ -54,7 +56,7 @@ def measure(
         open_loop=open_loop(twin),
         whiteness=whiteness(v),
         lines=lines,
-        heading=heading_error(twin.problem.recording, calibration),
+        heading=heading_error(cleaned or twin.problem.recording, calibration),
         noise=dict(calibration.noise),
         maps=maps(twin, v),
     )
@@ -119,14 +121,16 @@ def whiteness(innovation: Array) -> float:
 
 
 def heading_error(recording: Recording, calibration: Calibration) -> float | None:
-    """Return the standard deviation of the calibrated field's heading in the reference's world frame, deg."""
+    """Return the standard deviation of the calibrated field's heading in the reference's world frame, deg.
+
+    The recording is without the calibration's tones.
+    """
     if recording.attitude is None:
         return None
     known = np.isfinite(recording.attitude).all(axis=1)
     if known.sum() < 10:
         return None
-    # The timing is not applied to the field; a late field is compared with the attitude at its own time instead. A tone
-    # was already taken from the readings.
+    # The timing is not applied to the field; a late field is compared with the attitude at its own time instead.
     still = replace(calibration, terms=tuple(t for t in calibration.terms if t.name not in ("timing", "tone")))
     field, time = still.corrected(recording), recording.time
     attitude = Slerp(time[known], Rotation.from_quat(recording.attitude[known]))

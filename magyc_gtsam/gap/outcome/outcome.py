@@ -95,7 +95,7 @@ def gap_of(
         corrected, fine = _corrected(result, last, open_places.values(), short_term)
         final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
         if result.found and len(open_places) < len(found):
-            after = measure(corrected.twin, final, fine)
+            after = measure(corrected.twin, final, fine, cleaned=result.recording)
             before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
         used, untrusted = judged(final, corrected, result.recording, strength)
         effects = describe(found, last, corrected, used, result.probabilities, open_places, unpaid)

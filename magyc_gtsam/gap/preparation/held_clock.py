@@ -13,6 +13,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.held import with_equal_samples
 
 
 def on_own_clock(recording: Recording) -> Recording:
@@ -42,7 +43,7 @@ def on_own_clock(recording: Recording) -> Recording:
     if own is None:
         return recording
     result = recording.with_samples((own, field), None if recording.angular_rate is None else recording.gyroscope)
-    return result.with_equal_samples()
+    return with_equal_samples(result)
 
 
 def _in_step(number: Array, rows: Array) -> Array | None:

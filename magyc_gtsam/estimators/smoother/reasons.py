@@ -1,0 +1,108 @@
+"""Reasons not to trust a fit: the model does not fit, too little motion, no convergence, jumps of the field."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.estimators.field_jumps import field_jumps
+from magyc_gtsam.estimators.model_error import ModelError
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.minima import positive
+from magyc_gtsam.estimators.smoother.noise_levels import scatter
+from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.observability import Observability
+from magyc_gtsam.recording import Recording
+
+_MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
+_LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
+_LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
+_NOISIER = 1.25  # times a noise that is given by which the data may scatter; at 1.4 one of 80 results was wrong
+_ALIGNED = np.radians(0.3)  # misalignment that the data may show of chips that are given as aligned
+
+
+def jumped(fit: Fit, recording: Recording) -> list[str]:
+    """Return a sentence on the field's jumps if the fit rejects much of the recording, or much of its end."""
+    latest = fit.weights.window[-max(int(_LATEST * len(fit.weights.window)), 1) :]
+    if fit.weights.window.mean() >= _LEAST_TRUSTED and latest.mean() >= _LEAST_TRUSTED:
+        return []
+    jumps = field_jumps(recording)
+    if not jumps:
+        return []
+    named = " and ".join(f"at {jump.time:.0f} s by {jump.size * 1e6:.0f} µT" for jump in jumps)
+    return [f"the field jumped {named}: calibrate a stretch between (start=, end=), or run `mg.find_gap`"]
+
+
+def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:
+    """Return the reasons not to trust the result because the model does not fit, the root cause first."""
+    reasons = []
+    left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
+    misfit = ""
+    if left > _MOST_UNEXPLAINED * field_strength:
+        misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field)"
+    elif observable and not positive(fit):
+        misfit = "only a soft iron that mirrors the field fits, which no instrument has"
+    if misfit:
+        reasons.append(
+            f"{misfit}: the field or the instrument changed during the recording; choose an interval (start=, end=)"
+        )
+    trusted = float(fit.weights.window.mean())
+    if trusted < _LEAST_TRUSTED:
+        reasons.append(
+            f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated"
+        )
+    return reasons
+
+
+def doubts_of(fit: Fit, field_strength: float, observability: Observability) -> list[str]:
+    """Return the reasons not to trust the result, the root cause first; empty if there are none."""
+    reasons = misfits(fit, field_strength, observability.observable)
+    if not observability.observable:
+        swept = np.ptp(fit.chain.windows.field, axis=1) * 1e6
+        along = ", ".join(f"{value:.0f}" for value in swept)
+        much = "; turning over sweeps some 90 along each" if swept.min() < 90 else ""
+        reasons.append(
+            f"too little motion (the field swept {along} µT along x, y, z{much}): {observability.weak[0].sentence}"
+        )
+    if not fit.converged:
+        reasons.append(f"no convergence within {fit.iterations} iterations")
+    return reasons
+
+
+def contradicted_options(
+    fit: Fit, options: SmootherOptions, unexplained: ModelError, strength: float
+) -> list[str]:
+    """Return sentences on noise levels and aligned chips that were given, and that the data contradict.
+
+    Args:
+        fit: at its minimum, with these options.
+        options: of the fit.
+        unexplained: the model error of the fit.
+        strength: of the field, T.
+    """
+    return [*_noisier(fit, options), *_misaligned(options, unexplained, strength)]
+
+
+def _noisier(fit: Fit, options: SmootherOptions) -> list[str]:
+    if options.noise is None:
+        return []
+    remedy = "correct it, or omit it, so that it is estimated"
+    if options.prior is not None:
+        remedy += "; or the earlier calibration is not of this instrument as it is now"
+    names = (("magnetometer", 1e6, "µT"), ("gyroscope", 1e3, "mrad/s"))
+    return [
+        f"noise: the {name}'s is given as {level * factor:.2g} {unit}, and the data scatter by {seen * factor:.2g} "
+        f"{unit}: {remedy}"
+        for (name, factor, unit), level, seen in zip(names, options.noise, scatter(fit), strict=True)
+        if seen > _NOISIER * level
+    ]
+
+
+def _misaligned(options: SmootherOptions, unexplained: ModelError, strength: float) -> list[str]:
+    if options.misalignment != 0:
+        return []
+    return [
+        f"misalignment: the chips are given as aligned, and the data show {np.degrees(c.size / strength):.1f}° between "
+        "them: omit it, so that it is estimated, or calibrate where the field is uniform"
+        for c in unexplained.components
+        if c.name == "skew" and c.size > _ALIGNED * strength
+    ]
