@@ -243,3 +243,25 @@ def test_it_is_called_alike(name):
         module, options = METHODS[name].options.split(":")
         names |= getattr(__import__(module, fromlist=[options]), options).__dataclass_fields__.keys()
     assert {"field_strength", "progress"} <= names
+
+
+WRONG_KINDS = {
+    "sar-ls": [{"window": None}],
+    "sar-kf": [{"drift": "x"}],
+    "magfactor3": [{"field": "x"}, {"delay": "x"}],
+    "ali-pso": [{"seed": -1}, {"acceleration": 1}, {"particles": 2.5}, {"inertia": "x"}],
+    "magyc-bfg": [{"window": "1"}, {"tolerance": "1"}, {"prior": [1]}],
+    "magyc-ifg": [{"residual_sigma": "x"}, {"prior_sigma": -1}, {"robust": "zz", "compressed": False}],
+}
+
+
+@pytest.mark.parametrize(("name", "options"), [(n, each) for n, many in WRONG_KINDS.items() for each in many])
+def test_an_option_of_a_wrong_kind_is_refused(name, options):
+    with pytest.raises(mg.MagycError, match=next(iter(options))):
+        mg.calibrate(recording(name, GOOD), name, **options)
+
+
+@pytest.mark.parametrize("options", [{"horizon": None}, {"hard_iron_drift": [1]}, {"gyro_bias_drift": {}}])
+def test_an_option_of_a_wrong_kind_is_refused_online(options):
+    with pytest.raises(mg.MagycError, match=next(iter(options))):
+        mg.OnlineCalibrator(**options)

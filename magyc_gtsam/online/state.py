@@ -20,6 +20,7 @@ from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
 from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SensorNoise
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted
@@ -69,7 +70,7 @@ class OnlineOptions(SmootherOptions):
             ("horizon", 120.0),
         ):
             value = getattr(self, name)
-            if isinstance(value, (bool, str)) or not least <= value < np.inf:
+            if not is_finite(value) or value < least:
                 raise MagycError(f"{name}: must be a finite number of at least {least:g}, got {value!r}")
         if self.prior is None and self.hard_iron_walk:
             raise MagycError(

@@ -16,6 +16,8 @@ from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
     check_positive,
 )
 from magyc_gtsam.factors.chain.vech import MULTIPLICITY, UPPER, vech
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import numbers
 from magyc_gtsam.recording import Array
 
 _WIDTH = (0.3, 0.15)  # standard deviations of the initial swarm about h = 0 and T = I
@@ -47,7 +49,12 @@ def ali_pso(
         max_iterations: largest number of iterations.
         progress: called with the share done.
     """
-    check_positive(particles=particles, tolerance=tolerance, max_iterations=max_iterations)
+    check_positive(particles=particles, tolerance=tolerance, max_iterations=max_iterations, inertia=inertia)
+    for name, value in (("particles", particles), ("seed", seed)):
+        if not isinstance(value, int | np.integer) or value < 0:
+            raise MagycError(f"{name}: must be a whole number of at least 0, got {value!r}")
+    if numbers("acceleration", acceleration).shape != (2,):
+        raise MagycError(f"acceleration: must be two numbers, c1 and c2, got {acceleration!r}")
     random = np.random.default_rng(seed)
     root = _moments(y)
     spread = np.repeat(_WIDTH, [3, 9])

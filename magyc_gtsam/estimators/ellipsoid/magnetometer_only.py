@@ -23,6 +23,7 @@ from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.observability import HARD_IRON_LIMIT, assess
 from magyc_gtsam.recording import Array, Recording
 
@@ -120,8 +121,7 @@ def check_positive(**options: float) -> None:
         MagycError: one is not.
     """
     for name, value in options.items():
-        number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-        if not number or not 0 < value < np.inf:
+        if not is_positive(value):
             raise MagycError(f"{name}: must be a number above 0, got {value!r}")
 
 

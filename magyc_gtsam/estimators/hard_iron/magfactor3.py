@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.hard_iron.turning import clustered_covariance, to_calibration
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_finite, numbers
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.time_base import interpolated
 
@@ -52,7 +53,9 @@ def calibrate_magfactor3(
     Raises:
         MagycError: no attitude, a `field` that is not 1e-6 to 1e-3 T, or a sensor that did not turn.
     """
-    known = None if field is None else np.asarray(field, dtype=np.float64)
+    if not is_finite(delay):
+        raise MagycError(f"delay: must be a finite number of s, got {delay!r}")
+    known = None if field is None else numbers("field", field)
     if known is not None and (known.shape != (3,) or not 1e-6 < np.linalg.norm(known) < 1e-3):
         raise MagycError(f"field: {field!r} must be (3,) T with a length between 1e-6 and 1e-3 T")
     measured, attitude = _with_attitude(recording, delay)

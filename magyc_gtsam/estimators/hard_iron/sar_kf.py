@@ -23,6 +23,7 @@ from scipy.optimize import minimize_scalar
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.hard_iron.turning import TurningField, to_calibration, turning_field, windows
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.recording import Array, Recording
 
 _SENSOR = 0.01  # noise per sample assumed by the filter, as a share of the field strength; only the ratio matters
@@ -69,7 +70,7 @@ def calibrate_sar_kf(
     Raises:
         MagycError: no gyroscope, too few samples, or a negative drift.
     """
-    if not (np.isfinite(drift) and drift >= 0):
+    if not is_finite(drift) or drift < 0:
         raise MagycError(f"drift: must be finite and at least 0 T/√s, got {drift!r}")
     turning = turning_field(recording)
     middle = 0.5 * (turning.field.max(axis=0) + turning.field.min(axis=0))

@@ -11,6 +11,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import matrices
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.observability import HARD_IRON_LIMIT, assess
 from magyc_gtsam.recording import Array, Recording
 
@@ -78,8 +79,8 @@ def windows(turning: TurningField, length: float = 1.0) -> Windows:
     Raises:
         MagycError: a length that is not positive, too few windows, or a sensor that hardly turned.
     """
-    if not (np.isfinite(length) and length > 0):
-        raise MagycError(f"window: must be finite and above 0 s, got {length}")
+    if not is_positive(length):
+        raise MagycError(f"window: must be finite and above 0 s, got {length!r}")
     time, field, rotation = turning
     last = np.searchsorted(time, time + length * (1 - 1e-6))
     first = np.flatnonzero(last < len(time))

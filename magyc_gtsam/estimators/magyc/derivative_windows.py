@@ -12,6 +12,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import Samples as DerivativeSamples
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.recording import Array, Recording, Samples
 
 GAUSS = 1e-4  # T; the internal unit, in which the paper's sigmas and tolerances are stated
@@ -56,8 +57,8 @@ def derivative_windows(recording: Recording, length: float = 1.0) -> DerivativeW
 
 def check_length(length: float) -> None:
     """Raise `MagycError` unless `length` can be a window's length in seconds."""
-    if not (np.isfinite(length) and length > 0):
-        raise MagycError(f"window of {length} s; it must be finite and above 0")
+    if not is_positive(length):
+        raise MagycError(f"window: must be finite and above 0 s, got {length!r}")
 
 
 def window_index(time: Array | float, start: float, length: float) -> Array:

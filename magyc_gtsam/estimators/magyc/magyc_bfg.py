@@ -20,7 +20,9 @@ from magyc_gtsam.estimators.magyc.state import (
     initial_values,
     scale_prior,
 )
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative, gyro_derivative_factor
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.runners.batch import Method, optimize
 
@@ -62,6 +64,13 @@ def calibrate_magyc_bfg(
         MagycError: no gyroscope, an invalid option, or too few windows.
     """
     report = progress or (lambda share: None)
+    for name, value in (
+        ("residual_sigma", residual_sigma),
+        ("prior_sigma", prior_sigma),
+        ("tolerance", tolerance),
+    ):
+        if not is_positive(value):
+            raise MagycError(f"{name}: must be finite and above 0, got {value!r}")
     windows = derivative_windows(recording, window)
     samples = windows.in_gauss()
     residuals = CompressedGyroDerivative.from_samples(*samples)

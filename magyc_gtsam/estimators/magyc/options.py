@@ -8,6 +8,8 @@ from typing import Any, Literal
 from magyc_gtsam.estimators.magyc.derivative_windows import check_length
 from magyc_gtsam.estimators.magyc.state import Prior, scale_prior
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.kernels import kernel
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.runners.isam import Method
 
 
@@ -52,7 +54,12 @@ class IncrementalOptions:
                 "robust: a compressed factor cannot weigh its windows any more; choose compressed=False, "
                 "or method 'smoother'"
             )
-        scale_prior(self.prior, self.prior_sigma)  # raises if they are invalid
+        for name in ("residual_sigma", "prior_sigma"):
+            if not is_positive(getattr(self, name)):
+                raise MagycError(f"{name}: must be finite and above 0, got {getattr(self, name)!r}")
+        if self.robust is not None:
+            kernel(self.robust)  # raises if it is unknown
+        scale_prior(self.prior, self.prior_sigma)  # raises if it is unknown
 
     @property
     def configuration(self) -> dict[str, Any]:

@@ -49,7 +49,7 @@ def scale_prior(kind: Prior, sigma: float, windows: int = 1) -> gtsam.CustomFact
     Raises:
         MagycError: unknown prior.
     """
-    if kind not in _PRIORS:
+    if not isinstance(kind, str) or kind not in _PRIORS:
         raise MagycError(f"prior {kind!r} unknown; there are {', '.join(_PRIORS)}")
     return _PRIORS[kind](INVERSE_SOFT_IRON, sigma / np.sqrt(windows))
 
