@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
+from magyc_gtsam.estimators.smoother.iron_change import disturbed_stretches, hard_iron_change
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 
@@ -35,7 +35,9 @@ def test_a_change_in_the_smaller_part_is_found(seed: int, start: float, end: flo
     calibration = mg.calibrate(changed)
     assert not calibration.trusted
     assert "the hard iron changed at" in calibration.message
-    found = hard_iron_change(changed, fitted(changed), mg.calibrate(recording), SmootherOptions())
+    fit, options = fitted(changed), SmootherOptions()
+    stretches = disturbed_stretches(changed, fit, options)
+    found = hard_iron_change(changed, stretches, fit, mg.calibrate(recording), options)
     assert found is not None
     np.testing.assert_allclose(found.stretches, [[start, end]], atol=4)
     np.testing.assert_allclose(found.change, 3 * CHANGE, atol=1.2e-6)
@@ -46,7 +48,9 @@ def test_a_hard_iron_that_jumps_to_and_fro_is_found() -> None:
     recording = wide(0)
     away = np.isin(recording.time // 14, [1, 3, 5, 8, 9, 12, 14, 17, 20, 23])
     changed = with_field(recording, away[:, None] * 5 * CHANGE)
-    found = hard_iron_change(changed, fitted(changed), mg.calibrate(recording), SmootherOptions())
+    fit, options = fitted(changed), SmootherOptions()
+    stretches = disturbed_stretches(changed, fit, options)
+    found = hard_iron_change(changed, stretches, fit, mg.calibrate(recording), options)
     assert found is not None
     parts = [(1, 2), (3, 4), (5, 6), (8, 10), (12, 13), (14, 15), (17, 18), (20, 21), (23, 24)]
     expected = 14 * np.array(parts)
@@ -95,3 +99,26 @@ def test_a_part_of_another_instrument_is_told_from_a_disturbance(start: float, e
     found = re.search(r"the instrument is another one between (\d+) and (\d+) s", calibration.message)
     assert found is not None
     assert [float(each) for each in found.groups()] == pytest.approx([start, end], abs=4)
+
+
+@pytest.mark.parametrize(("share", "size"), [(0.1, 8e-6), (0.25, 8e-6), (0.1, 2.5e-6)])
+@pytest.mark.parametrize("motion", ["wide", "low"])
+def test_a_ramp_at_the_end_is_no_disturbance_to_leave_out(motion, share, size):
+    """Its windows were rejected, or absorbed, and the calibration of what was before trusted: up to 9° off."""
+    simulation = mg.simulate(motion, 400, seed=5)
+    recording, truth = simulation.recording, simulation.truth
+    ramp = np.clip(recording.time / recording.time[-1] - (1 - share), 0, None) / share
+    change = size * np.array([0.6, -0.64, 0.48])
+    found = mg.calibrate(replace(recording, magnetic_field=recording.magnetic_field + ramp[:, None] * change))
+    away = found.hard_iron - truth.hard_iron - change
+    assert not found.trusted or away @ np.linalg.solve(found.covariance[6:9, 6:9], away) < 3 * 3**2
+
+
+def test_a_disturbance_that_is_over_before_the_end_is_left_out_as_before():
+    simulation = mg.simulate("wide", 400, seed=5)
+    recording = simulation.recording
+    passed = (recording.time > 300) & (recording.time < 310)
+    field = recording.magnetic_field + 8e-6 * passed[:, None]
+    found = mg.calibrate(replace(recording, magnetic_field=field))
+    assert found.trusted
+    assert np.abs(found.hard_iron - simulation.truth.hard_iron).max() < 0.5e-6

@@ -187,3 +187,20 @@ def test_a_gyroscope_alone_after_a_pause_of_both_goes_on() -> None:
         turn(15 + second + 0.01 * np.arange(100))
     read(np.arange(15, 19, 0.1))
     assert online.progress.sentence
+
+
+@pytest.mark.parametrize("silent", ["angular_rate", "magnetic_field"])
+def test_without_one_sensor_the_estimate_is_out_of_date(silent: str) -> None:
+    """It stayed converged while nothing came: 5 µT of payload later it was wrong at every look."""
+    recording = mg.simulate("wide", 400, seed=2).recording
+    online = mg.OnlineCalibrator()
+    first = recording.time < 250
+    field, rate = recording.magnetic_field, recording.angular_rate
+    online.update(recording.time[first], field[first], rate[first])
+    assert online.converged
+    rest = {"magnetic_field": field[~first], "angular_rate": rate[~first]}
+    del rest[silent]
+    online.update(recording.time[~first], **rest)
+    assert not online.converged
+    assert not online.progress.converged
+    assert f"no sample of {silent} for 150 s" in online.progress.sentence

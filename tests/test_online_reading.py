@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_online import distance, feed
 
 from magyc_gtsam import OnlineCalibrator, calibrate, simulate
@@ -85,3 +86,24 @@ def test_windows_are_cut_alike_while_the_spread_changes_little():
     assert len({suitable_turn(field[:n]) for n in range(3000, 4000, 50)}) == 1
     assert suitable_turn(field * [1, 1, 20]) == 0.4
     assert suitable_turn(field * [1, 1, 0.1]) == 0.15
+
+
+def test_it_can_be_read_at_any_time_of_fast_turns() -> None:
+    """Of windows with one sample each, one or two after each 64th were integrated alone, which needs three."""
+    random = np.random.default_rng(1)
+    time = np.arange(0, 120, 0.02)
+    rate = np.radians(100) * np.column_stack([np.sin(0.9 * time), np.cos(0.7 * time), np.sin(1.3 * time + 1)])
+    attitude = Rotation.identity()
+    field = np.empty_like(rate)
+    for k, turn in enumerate(Rotation.from_rotvec(0.02 * rate)):
+        field[k] = attitude.inv().apply([20e-6, 0, 40e-6])
+        attitude = attitude * turn
+    field += random.normal(0, 3e-7, field.shape)
+    online = OnlineCalibrator()
+    for first in range(0, len(time), 10):
+        part = slice(first, first + 10)
+        online.update(time[part], angular_rate=rate[part] + random.normal(0, 2e-3, (10, 3)))
+        online.update(time[first : first + 1], field[first : first + 1])
+        if first > 1000:
+            assert online.calibration is None or online.calibration.hard_iron is not None
+    assert online.calibration is not None

@@ -16,6 +16,7 @@ _LATENESS = 0.1  # s, lag of the magnetometer allowed beyond its estimate
 _STEPS = 32  # gyroscope steps from which their median is determined
 _WAITING = 60.0  # s of samples of one sensor that are kept while the other is silent
 _BLOCK = 64  # windows that are integrated together
+_FEW = 8  # windows that are not a block of their own
 _POINT = 1e-3  # rad/s and s to which the bias and delay of the integration are rounded
 
 
@@ -245,14 +246,16 @@ class IntegratedWindows:
         if key != self._key:
             self._key, self._blocks = key, []
         numbers, closed = np.unique(buffer.numbers), buffer.closed(delay)
-        parts = self._blocks[: len(numbers) // _BLOCK]
-        for first in range(_BLOCK * len(parts), len(numbers), _BLOCK):
-            last = min(first + _BLOCK, len(numbers))
+        # Few windows at the end may hold too few samples to be integrated by themselves: they join the block before.
+        starts = range(0, max(len(numbers) - _FEW, 0) + 1, _BLOCK)
+        parts = self._blocks[: len(starts) - 1]
+        for first, last in zip(starts[len(parts) :], [*starts[len(parts) + 1 :], len(numbers)], strict=True):
             begin = int(numbers[max(first - 1, 0)])  # blocks overlap by one window
             part = buffer.windows(begin, int(numbers[last - 1]) + 1, delay).integrate(bias, delay)
             if parts:
                 part = in_frame_of(parts[-1], part)
             parts.append(part)
-            if last == first + _BLOCK and numbers[last - 1] < closed:
+            whole = last == first + _BLOCK and numbers[last - 1] < closed
+            if whole and first == _BLOCK * len(self._blocks):
                 self._blocks.append(part)
         return joined(parts)

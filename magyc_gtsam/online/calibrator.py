@@ -185,7 +185,8 @@ class OnlineCalibrator:
         It costs nothing at every sample; `calibration.trusted` takes the newest samples into account as well.
         """
         self._catch_up()
-        return self._engine.converged() and not refusal(self._faults) and not self._counted_twice
+        settled = self._engine.converged() and not self._intake.silence
+        return settled and not refusal(self._faults) and not self._counted_twice
 
     @property
     @locked

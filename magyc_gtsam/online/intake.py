@@ -16,6 +16,7 @@ from magyc_gtsam.recording.stamps import check_seconds
 
 _LATE = 1.0  # s behind the last stamp; more, six times in a row, means that a clock was set back
 _LEAP = 3.0  # ratio to the previous step, and at least `_LATE`, by which a stamp may be ahead without confirmation
+_SILENT = 60.0  # s by which a sensor may be behind the other before the estimate is out of date
 _CONFIRMED_BY = 5  # number of further stamps that confirm one which leaps ahead or back
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
@@ -145,6 +146,18 @@ class Intake:
         return magnetometer, gyroscope
 
     @property
+    def silence(self) -> str:
+        """Which sensor has had no sample for long while the other has, in words; "" if both have.
+
+        Nothing is known of the iron since: the windows need both.
+        """
+        first, last = sorted(self.until)
+        if not np.isfinite(first) or last - first <= _SILENT:
+            return ""
+        name = _NAMES[int(np.argmin(self.until))]
+        return f"no sample of {name} for {last - first:.0f} s, or its clock is another one: nothing is known since"
+
+    @property
     def duration(self) -> float:
         """The time from the first sample to the last, s."""
         last = max(self.until)
@@ -157,6 +170,8 @@ class Intake:
         absent = [stream.name for stream in self._streams if not np.isfinite(stream.last[0])]
         if len(absent) == 1:
             progress = replace(progress, sentence=f"collecting: no sample of {absent[0]} yet")
+        if self.silence:
+            progress = replace(progress, converged=False, sentence=self.silence)
         return replace(progress, time=time, duration=self.duration, left_out=self._left_out)
 
     def state(self) -> Mapping[str, Array]:

@@ -7,6 +7,7 @@ since most of their columns are not in it; the three columns of a linear one sho
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +75,15 @@ def _bias_at_end(motion: WindowMotion) -> Array:
     return np.vstack([np.zeros((9, 3)), np.eye(3), np.zeros((PARAMETERS - 12, 3))])
 
 
+def _late(motion: WindowMotion, onset: float = 0.85) -> UnmodelledColumns:
+    """Return the columns of a hard iron that begins to change at a share of the recording, linearly up to its end."""
+    share = (motion.time - motion.time[0]) / (motion.time[-1] - motion.time[0])
+    ramp = np.maximum(share - onset, 0.0) / (1 - onset)
+    return UnmodelledColumns(each_axis(motion.strength * np.tile(ramp, (3, 1))), None)
+
+
+LATE = LinearDrift(_late, _offset_at_end)
+OTHER_LATE = tuple(partial(_late, onset=onset) for onset in (0.5, 0.7, 0.93))
 GAIN = LinearDrift(_gain, _gain_at_end)
 OFFSET = LinearDrift(_offset, _offset_at_end)
 BIAS = LinearDrift(_bias, _bias_at_end)

@@ -71,6 +71,15 @@ class ModelError:
         covariance = sum((c.covariance for c in kept), np.zeros_like(self.covariance))
         return replace(self, covariance=covariance, components=kept, possible=())
 
+    def without(self, name: str) -> ModelError:
+        """Return the error without an effect, whether the data show it or not."""
+        left = (c.covariance for c in self.components + self.possible if c.name == name)
+        components, possible = (
+            tuple(c for c in each if c.name != name) for each in (self.components, self.possible)
+        )
+        covariance = self.covariance - sum(left, np.zeros_like(self.covariance))
+        return replace(self, covariance=covariance, components=components, possible=possible)
+
     def beside(self, other: Component) -> ModelError:
         """Return the error with another component, of the same parameters, or of more or fewer of them."""
         size = max(len(self.covariance), len(other.covariance))

@@ -28,6 +28,7 @@ _WIDTH = 0.7e-6
 _OTHER_WIDTHS = (0.35e-6, 1.4e-6, 2.8e-6)
 _BAND = 0.02  # rad/s, half the width of a gyroscope's dead band
 _DATA_SHEET = 0.03  # share, largest scale error of a gyroscope under the prior
+LATE_DRIFT = "late drift"
 CROSS_AXIS = "gyroscope:cross-axis"
 # Share, largest cross-axis sensitivity under the prior. Data sheets state 1 to 2 % at most; with 0.45 % the headings of
 # 56 cars are within 2.7 sigmas, with 0.9 % a fifth is beyond three.
@@ -39,6 +40,7 @@ _LEAST_FILTER = 1e-3  # s², of a filter of 45 ms, below which the effect is neg
 # Share of the field, largest bend: 0.2 % of a full scale of 800 µT, where data sheets state 0.1 to 1 %. Three octaves
 # reach down to 1 %; a smaller one is either seen or matters less than noise.
 _BEND = 0.04
+_RARE = 5e-4  # odds of a hard iron that begins to change just before the end
 _SHARP = 0.05  # width of the smoothed sign function, as a share of the field strength
 
 
@@ -220,6 +222,15 @@ PHYSICAL = (
     ),
     _drift("gain drift", "the magnetometer's gain drifts by ±{}", drifts.GAIN, 0.03, USUAL, "share"),
     _drift("offset drift", "the hard iron drifts by ±{}", drifts.OFFSET, 0.05, USUAL, "field"),
+    ColumnFamily(
+        LATE_DRIFT,
+        "the hard iron drifts by {} towards the end",
+        drifts.LATE.columns,
+        0.2,
+        prior=_RARE,
+        at_end=drifts.LATE.at_end,
+        other_shapes=drifts.OTHER_LATE,
+    ),
     _drift("gyroscope:bias drift", "the gyroscope's bias drifts by ±{}", drifts.BIAS, 0.015, LIKELY, "rate"),
     ColumnFamily(
         "gyroscope:scale",

@@ -78,16 +78,16 @@ class IronChange(NamedTuple):
 
 
 def hard_iron_change(
-    recording: Recording, fit: Fit, calibration: Calibration, options: SmootherOptions
+    recording: Recording, stretches: Array, fit: Fit, calibration: Calibration, options: SmootherOptions
 ) -> IronChange | None:
     """Return the stretches that another hard iron explains; None if there are none.
 
     Args:
         recording: the data.
+        stretches: (k, 2) s since the first row, those that the fit rejects.
         fit, calibration: of the whole recording.
         options: of that fit.
     """
-    stretches = disturbed_stretches(recording, fit, options)
     if not len(stretches) or not fit.converged or calibration.covariance is None:
         return None
     try:

@@ -16,6 +16,8 @@ from magyc_gtsam.recording import Recording
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
 _LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
+_LAST = 5.0  # s, and
+_LAST_WINDOWS = 5  # windows at the end of a log that are rejected, from which they may be a change for good
 _NOISIER = 1.25  # times a noise that is given by which the data may scatter; at 1.4 one of 80 results was wrong
 _ALIGNED = np.radians(0.3)  # misalignment that the data may show of chips that are given as aligned
 
@@ -30,6 +32,25 @@ def jumped(fit: Fit, recording: Recording) -> list[str]:
         return []
     named = " and ".join(f"at {jump.time:.0f} s by {jump.size * 1e6:.0f} µT" for jump in jumps)
     return [f"the field jumped {named}: calibrate a stretch between (start=, end=), or run `mg.find_gap`"]
+
+
+def disturbed_end(fit: Fit, recording: Recording) -> str:
+    """Return a sentence on a disturbance that lasts to the end of the recording; "" if there is none.
+
+    The iron may have changed for good there: a ramp of 8 µT over the last tenth was rejected as a disturbance, and the
+    calibration of what was before trusted, 9° off at the end.
+    """
+    rejected = np.cumsum(_LEAST_TRUSTED - fit.weights.window[::-1])  # from each window to the end
+    last = int(np.argmax(rejected)) + 1
+    if rejected[last - 1] <= 0 or last < _LAST_WINDOWS:
+        return ""
+    begin = float(fit.chain.windows.time[-last] - recording.time[0])
+    if recording.duration - begin < _LAST:
+        return ""
+    return (
+        f"the field is disturbed from {begin:.0f} s to the end: if the iron changed there for good, the calibration "
+        "does not hold any more; record on after it, or choose an interval without it if iron was passed (end=)"
+    )
 
 
 def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:

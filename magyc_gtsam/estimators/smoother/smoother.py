@@ -17,6 +17,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import IronScale, doubt_strength, fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
+from magyc_gtsam.estimators.model_error.physical import LATE_DRIFT
 from magyc_gtsam.estimators.model_error.verdict import variation
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
@@ -32,7 +33,7 @@ from magyc_gtsam.estimators.smoother.known import (
 )
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import Streams
-from magyc_gtsam.estimators.smoother.reasons import contradicted_options, doubts_of, jumped
+from magyc_gtsam.estimators.smoother.reasons import contradicted_options, disturbed_end, doubts_of, jumped
 from magyc_gtsam.estimators.smoother.search import Progress, fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.estimators.smoother.vertical import upright_facts
@@ -65,10 +66,14 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     doubts = prior_contradictions(recording, options, fit, unexplained)
     calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
     stretches = disturbed_stretches(recording, fit, options)
-    change = hard_iron_change(recording, fit, calibration, options)
+    change = hard_iron_change(recording, stretches, fit, calibration, options)
     doubt = "" if change is None else change.sentence(recording)
     if not doubt and len(stretches) and calibration.trusted:
-        doubt = instrument_change(recording, stretches, calibration, options, _of)
+        # A drift towards the end would be the very change.
+        whole = calibration_of(recording, fit, options, unexplained=unexplained.without(LATE_DRIFT))
+        doubt = instrument_change(recording, stretches, whole, options, _of)
+    if not doubt and calibration.trusted:
+        doubt = disturbed_end(fit, recording)
     if doubt:
         doubts = [doubt, *doubts]
         calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
