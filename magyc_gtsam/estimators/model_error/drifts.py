@@ -21,6 +21,10 @@ from magyc_gtsam.factors.chain.vech import vech
 _WARM = 300.0  # s, in which a sensor warms up; a shorter log has its share of the largest drift
 
 
+_RESTING = 0.02  # times the log's rate of turn (rms), below which it is at rest; a straight run has more
+_ONSET = 0.85  # share of a recording after which a late drift begins
+
+
 class LinearDrift(NamedTuple):
     """A linear drift: its columns, and (13, k) the parameters at the end less their means, per unit of each."""
 
@@ -75,10 +79,34 @@ def _bias_at_end(motion: WindowMotion) -> Array:
     return np.vstack([np.zeros((9, 3)), np.eye(3), np.zeros((PARAMETERS - 12, 3))])
 
 
-def _late(motion: WindowMotion, onset: float = 0.85) -> UnmodelledColumns:
+def moving(time: Array, rotation: Array) -> np.ndarray:
+    """Return (n,) bool, the windows, with rotations (3, 3, n), in which an instrument is not put down.
+
+    The field is often another one there, which says nothing of its iron.
+    """
+    if len(time) < 3:
+        return np.ones(len(time), dtype=bool)
+    cosine = 0.5 * (np.einsum("ijn,ijn->n", rotation[..., 1:], rotation[..., :-1]) - 1)
+    rate = np.arccos(np.clip(cosine, -1.0, 1.0)) / np.maximum(np.diff(time), 1e-9)
+    least = _RESTING * float(np.sqrt(np.mean(rate**2)))
+    result: np.ndarray = np.maximum(np.append(rate, rate[-1]), np.append(rate[0], rate)) > least
+    return result
+
+
+def late_up_to(largest: float) -> Callable[[WindowMotion], float]:
+    """Return the function for the largest late drift that is plausible; 0 if a recording ends at rest."""
+
+    def likely(motion: WindowMotion) -> float:
+        late = motion.time > motion.time[-1] - (1 - _ONSET) * (motion.time[-1] - motion.time[0])
+        return largest if moving(motion.time, motion.rotation)[late].mean() > 0.5 else 0.0
+
+    return likely
+
+
+def _late(motion: WindowMotion, onset: float = _ONSET) -> UnmodelledColumns:
     """Return the columns of a hard iron that begins to change at a share of the recording, linearly up to its end."""
     share = (motion.time - motion.time[0]) / (motion.time[-1] - motion.time[0])
-    ramp = np.maximum(share - onset, 0.0) / (1 - onset)
+    ramp = late_up_to(1.0)(motion) * np.maximum(share - onset, 0.0) / (1 - onset)
     return UnmodelledColumns(each_axis(motion.strength * np.tile(ramp, (3, 1))), None)
 
 

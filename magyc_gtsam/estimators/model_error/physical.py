@@ -229,6 +229,7 @@ PHYSICAL = (
         0.2,
         prior=_RARE,
         at_end=drifts.LATE.at_end,
+        expected=drifts.late_up_to(0.2),
         other_shapes=drifts.OTHER_LATE,
     ),
     _drift("gyroscope:bias drift", "the gyroscope's bias drifts by ±{}", drifts.BIAS, 0.015, LIKELY, "rate"),

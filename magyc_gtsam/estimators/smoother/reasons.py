@@ -6,6 +6,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.model_error import ModelError
+from magyc_gtsam.estimators.model_error.drifts import moving
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.noise_levels import scatter
@@ -16,6 +17,7 @@ from magyc_gtsam.recording import Recording
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
 _LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
+_LONG = 2.0  # s, longest time that a window stands for
 _LAST = 5.0  # s, and
 _LAST_WINDOWS = 5  # windows at the end of a log that are rejected, from which they may be a change for good
 _NOISIER = 1.25  # times a noise that is given by which the data may scatter; at 1.4 one of 80 results was wrong
@@ -40,13 +42,16 @@ def disturbed_end(fit: Fit, recording: Recording) -> str:
     The iron may have changed for good there: a ramp of 8 µT over the last tenth was rejected as a disturbance, and the
     calibration of what was before trusted, 9° off at the end.
     """
-    rejected = np.cumsum(_LEAST_TRUSTED - fit.weights.window[::-1])  # from each window to the end
+    windows = fit.chain.windows
+    kept = moving(windows.time, windows.rotation)
+    time, length = windows.time[kept], np.minimum(np.gradient(windows.time), _LONG)[kept]
+    rejected = np.cumsum(_LEAST_TRUSTED - fit.weights.window[kept][::-1])  # from each window to the end
+    if not rejected.max(initial=0.0) > 0:
+        return ""
     last = int(np.argmax(rejected)) + 1
-    if rejected[last - 1] <= 0 or last < _LAST_WINDOWS:
+    if last < _LAST_WINDOWS or length[-last:].sum() < _LAST:
         return ""
-    begin = float(fit.chain.windows.time[-last] - recording.time[0])
-    if recording.duration - begin < _LAST:
-        return ""
+    begin = time[-last] - recording.time[0]
     return (
         f"the field is disturbed from {begin:.0f} s to the end: if the iron changed there for good, the calibration "
         "does not hold any more; record on after it, or choose an interval without it if iron was passed (end=)"
