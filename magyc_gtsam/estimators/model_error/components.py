@@ -50,9 +50,7 @@ def principal(normal: Array, score: Array) -> PrincipalAxes:
 
 
 _VARIANCE_GRID = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
-_ROUNDING = (
-    1e-9  # least share of yᵀy that columns leave; first-order columns of a poor fit could explain more than all
-)
+_ROUNDING = 1e-9  # least share of yᵀy that columns leave; beside a poor fit they could explain more than all of it
 _SWEEPS = 3  # most sweeps over the groups
 _CONVERGED = 0.1  # relative change of a variance below which it has converged
 _LEAST_GAIN = 3.0  # gain in log-likelihood that a group must have beside the others

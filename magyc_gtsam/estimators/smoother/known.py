@@ -146,9 +146,7 @@ def _skew(prior: Calibration, options: SmootherOptions) -> LinearFact | None:
 
 def is_worse(fit: Fit, alone: Fit, options: SmootherOptions) -> bool:
     """Return whether the data and the prior fit together worse than by chance, at the noise of the data alone."""
-    if len(fit.chain.windows) != len(
-        alone.chain.windows
-    ):  # one of them has shorter windows, since it rejects many
+    if len(fit.chain.windows) != len(alone.chain.windows):  # shorter ones, since one of them rejects many
         return True
     noise = alone.chain.noise
     from_prior, _ = known_of(options).facts[0].residual(fit.state.parameters)

@@ -17,9 +17,10 @@ from magyc_gtsam.recording import Recording
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
 _LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
+# Least duration, s, and number of windows that are rejected at the end of a log and may be a change for good
+_LAST = 5.0
+_LAST_WINDOWS = 5
 _LONG = 2.0  # s, longest time that a window stands for
-_LAST = 5.0  # s, and
-_LAST_WINDOWS = 5  # windows at the end of a log that are rejected, from which they may be a change for good
 _NOISIER = 1.25  # times a noise that is given by which the data may scatter; at 1.4 one of 80 results was wrong
 _ALIGNED = np.radians(0.3)  # misalignment that the data may show of chips that are given as aligned
 
