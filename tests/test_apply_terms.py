@@ -207,3 +207,16 @@ def test_a_term_without_a_setting_that_it_needs_is_no_internal_error() -> None:
     plate = Term("eddy-plane", [1e-3] * 3, 1e-8 * np.eye(3))
     with pytest.raises(MagycError, match="setting 'x' is missing"):
         replace(mg.calibrate(recording), terms=(plate,)).apply(recording)
+
+
+def test_another_units_calibration_is_noticed(tmp_path: Path) -> None:
+    """It was applied without a word, with a strength that varied by a quarter."""
+    own = mg.simulate("wide", 120, seed=1).recording
+    other = mg.simulate("wide", 120, seed=2, hard_iron=np.array([-25e-6, 20e-6, -15e-6])).recording
+    write_mcap(tmp_path / "log.mcap", own)
+    for recording, said in ((own, False), (other, True)):
+        mg.calibrate(recording).save(tmp_path / "calibration.yaml")
+        arguments = ["apply", str(tmp_path / "calibration.yaml"), str(tmp_path / "log.mcap")]
+        done = CliRunner().invoke(application(), [*arguments, "-o", str(tmp_path / "out.csv")])
+        assert done.exit_code == 0
+        assert ("is the log of the calibration's instrument" in " ".join(done.output.split())) == said

@@ -54,8 +54,8 @@ def disturbed_end(fit: Fit, recording: Recording) -> str:
         return ""
     begin = time[-last] - recording.time[0]
     return (
-        f"the field is disturbed from {begin:.0f} s to the end: if the iron changed there for good, the calibration "
-        "does not hold any more; record on after it, or choose an interval without it if iron was passed (end=)"
+        f"the field is disturbed from {begin:.0f} s to the end, where the iron may have changed for good: choose an "
+        "interval before it (end=), or record on after a change"
     )
 
 
@@ -112,12 +112,12 @@ def contradicted_options(
 def _noisier(fit: Fit, options: SmootherOptions) -> list[str]:
     if options.noise is None:
         return []
-    remedy = "correct it, or omit it, so that it is estimated"
+    remedy = "correct it, or omit it (noise=), so that it is estimated"
     if options.prior is not None:
-        remedy += "; or the earlier calibration is not of this instrument as it is now"
+        remedy += ", or omit an earlier calibration that is not of this instrument as it is now (prior=)"
     names = (("magnetometer", 1e6, "µT"), ("gyroscope", 1e3, "mrad/s"))
     return [
-        f"noise: the {name}'s is given as {level * factor:.2g} {unit}, and the data scatter by {seen * factor:.2g} "
+        f"the {name}'s noise is given as {level * factor:.2g} {unit}, and the data scatter by {seen * factor:.2g} "
         f"{unit}: {remedy}"
         for (name, factor, unit), level, seen in zip(names, options.noise, scatter(fit), strict=True)
         if seen > _NOISIER * level
@@ -128,8 +128,8 @@ def _misaligned(options: SmootherOptions, unexplained: ModelError, strength: flo
     if options.misalignment != 0:
         return []
     return [
-        f"misalignment: the chips are given as aligned, and the data show {np.degrees(c.size / strength):.1f}° between "
-        "them: omit it, so that it is estimated, or calibrate where the field is uniform"
+        f"the chips are given as aligned, and the data show {np.degrees(c.size / strength):.1f}° between them: omit it "
+        "(misalignment=), so that it is estimated, or calibrate where the field is uniform"
         for c in unexplained.components
         if c.name == "skew" and c.size > _ALIGNED * strength
     ]
