@@ -139,7 +139,7 @@ class Assumption:
     """One assumption of the user's simulator, compared with the data.
 
     Attributes:
-        what: the assumption, e.g. "magnetometer noise", "hard iron x", "timing".
+        what: the assumption, e.g. "magnetometer noise per sample", "hard iron x", "magnetometer delay".
         simulated, measured: the two values in `unit`; NaN if one of the recordings lacks the channel.
         sigma: standard deviation of the difference, in `unit`.
         rejected: whether the difference is significant (family-wise 1 %), or only one recording has the effect.
@@ -180,13 +180,13 @@ class Gap:
     """The result of `find_gap`.
 
     Attributes:
-        verdict: "none" (nothing significant), "closed" (effects were named and added, and nothing significant is left;
+        verdict: "none" (nothing probable), "closed" (effects were named and added, and nothing significant is left;
             or a given calibration did not fit and was fitted again), "unknown" (something outside the catalogue is
             missing; nothing was changed), "open" (effects were named, but not or not fully corrected), "not enough
             information" (the motion does not determine the twelve parameters, or there is no noise to measure a misfit
             against; nothing was tested or changed).
         sentence: the verdict, for a navigator.
-        effects: the effects found, in the order in which they were added.
+        effects: the effects found: those corrected beforehand, of the model, of single samples, and a varying field.
         untested: candidates whose channel is missing.
         hypotheses: every candidate and generic family with its evidence beside the model without effects, strongest
             first.

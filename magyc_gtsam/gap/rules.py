@@ -36,7 +36,7 @@ class Rules:
     moved: float = 2.0  # sigmas above which a parameter is reported as moved
     one_way: float = 0.75  # share of the colour along one axis above which it is not noise
     rare: float = 0.05  # share of wrong samples; a larger one is another distribution of the noise
-    span: float = 2.5  # widths within which a second bump belongs to the first
+    span: float = 2.5  # times the sum of their widths within which a second bump belongs to the first
     spike: float = 4.5  # sigmas, exceeded by one normal vector in six thousand
     spikes_alone: float = 0.46  # share of the spikes, adjacent ones counted as one, that have no neighbour
     # nats that a line loses, because the floor below it is estimated: in its level and in its odds

@@ -54,7 +54,8 @@ class EffectTerm:
         possible: function that returns whether the effect can have fitted values (SI) at a setting; if not, the cause
             is another effect.
         power: of the channel that a value multiplies.
-        products: signals whose product with it is a neighbour to be distinguished from it; see `gap.neighbours`.
+        products: signals whose product with it is a neighbour to be distinguished from it; see
+            `gap.evidence.neighbours`.
     """
 
     name: str

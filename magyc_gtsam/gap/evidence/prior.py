@@ -24,19 +24,19 @@ class Prior:
     Attributes:
         scales: of an effect's values, in units of the smallest that matters; all octaves are equally probable: from
             undetectable by any motion to larger than in any sensor.
-        nothing: odds of a recording with sensor noise only, against any other: three of four have an effect, however
-            small.
-        named: odds of one more effect of the catalogue against none: of each, as when three of four effects were among
-            the 22 that it had then.
-        unknown: odds of an effect outside the catalogue against none, all together: two of five effects. At 0.25 one
-            of 19 foreign recordings of edition 36 was given a name, at 0.5 and 1 none; of 19 with one effect none lost
+        nothing: log odds of a recording with sensor noise only, against any other: three of four have an effect,
+            however small.
+        named: log odds of one more effect of the catalogue against none: of each, as when three of four effects were
+            among the 22 that it had then.
+        unknown: log odds of an effect outside the catalogue against none, all together: two of five effects. At 0.25
+            one of 19 foreign recordings of edition 36 was given a name, at 0.5 and 1 none; of 19 with one effect none lost
             its name.
         unforeseen: probability, whatever the data, of an effect that this comparison does not contain: a posterior over
             hypotheses does not include the case that all of them are wrong. Of 52 statements above 0.99 without it
             (editions 53 and 54, 0.999 on average) 2 are false, of 78 from 0.95 before none: 2 of 130 (95 %: 0.002 to
             0.055; by Laplace's rule 0.023).
-        imitated: odds that an apparent effect of the catalogue is a part of an effect outside it of which nothing else
-            is seen (log score on edition 41: 0.926, 0.927 at 0.15 and 0.929 at 0.2).
+        imitated: log odds that an apparent effect of the catalogue is a part of an effect outside it of which nothing
+            else is seen (log score on edition 41: 0.926, 0.927 at 0.15 and 0.929 at 0.2).
         each_more: log odds that one cause outside the catalogue, of which something is seen, resembles one more effect.
             It resembles a first one with even odds: in 6 of 14 foreign recordings of edition 207 with a certain unknown
             effect one effect of the catalogue is significant beside it.

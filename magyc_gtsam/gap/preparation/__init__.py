@@ -1,1 +1,1 @@
-"""Checks and corrections before the estimation: channels, clocks, axes and clipped sensors."""
+"""Corrections before the estimation: pauses of channels, clocks of held samples, the order of the axes."""

@@ -39,7 +39,7 @@ class NoiseScore:
         significant: True if the effect is significant.
         value, sigma: (k,) SI.
         setting: frequency Hz, correlation time s, …
-        rows: mask of the recording's magnetometer samples that are affected (spikes).
+        rows: mask of the samples of `Fine` that are affected (spikes).
     """
 
     name: str
