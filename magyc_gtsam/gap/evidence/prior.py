@@ -29,8 +29,8 @@ class Prior:
         named: log odds of one more effect of the catalogue against none: of each, as when three of four effects were
             among the 22 that it had then.
         unknown: log odds of an effect outside the catalogue against none, all together: two of five effects. At 0.25
-            one of 19 foreign recordings of edition 36 was given a name, at 0.5 and 1 none; of 19 with one effect none lost
-            its name.
+            one of 19 foreign recordings of edition 36 was given a name, at 0.5 and 1 none; of 19 with one effect none
+            lost its name.
         unforeseen: probability, whatever the data, of an effect that this comparison does not contain: a posterior over
             hypotheses does not include the case that all of them are wrong. Of 52 statements above 0.99 without it
             (editions 53 and 54, 0.999 on average) 2 are false, of 78 from 0.95 before none: 2 of 130 (95 %: 0.002 to
