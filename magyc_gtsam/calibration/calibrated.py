@@ -5,10 +5,16 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 
+import numpy as np
+
 from magyc_gtsam.calibration.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import TermWarning
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.held import with_equal_samples
+
+# Standard deviation of the calibrated strength, relative to it: another unit's calibration gives a quarter, real logs
+# with their own up to 7 %.
+_UNEVEN = 0.12
 
 
 def lag_of(calibration: Calibration) -> float:
@@ -34,6 +40,18 @@ def calibrated(calibration: Calibration, recording: Recording) -> Recording:
             rate = calibration.apply_gyroscope(recording)
         field = calibration.apply(recording)
     return replace(recording, magnetic_field=field, angular_rate=rate)
+
+
+def uneven(recording: Recording) -> list[str]:
+    """Return a note if the strength of a calibrated field varies more than with the instrument's own calibration."""
+    low, middle, high = np.quantile(np.linalg.norm(recording.magnetometer.value, axis=1), [0.16, 0.5, 0.84])
+    varies = 0.5 * float(high - low) / max(float(middle), 1e-300)
+    if varies < _UNEVEN:
+        return []
+    return [
+        f"the strength of the calibrated field varies by {varies:.0%}: is the log of the calibration's instrument, "
+        "with the same iron? A field that varies along the way does the same"
+    ]
 
 
 def without_lag(recording: Recording, lag: float) -> Recording:

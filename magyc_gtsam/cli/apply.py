@@ -15,10 +15,6 @@ from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading, epoch
 from magyc_gtsam.cli.terminal import complain, concluded, refused, show, stages
 
-# Standard deviation of the calibrated strength, relative to it: another unit's calibration gives a quarter, real logs
-# with their own up to 7 %.
-_UNEVEN = 0.12
-
 if TYPE_CHECKING:
     from magyc_gtsam.cli.terminal import Progress
     from magyc_gtsam.recording import Recording
@@ -55,7 +51,7 @@ def run(
     marked as calibrated: `apply` and `history` refuse it as a LOG, other commands read it and note the mark.
     """
     from magyc_gtsam.calibration import Calibration
-    from magyc_gtsam.calibration.calibrated import calibrated, lag_of, without_lag
+    from magyc_gtsam.calibration.calibrated import calibrated, lag_of, uneven, without_lag
     from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.recording.applied import as_calibrated, is_calibrated
@@ -89,29 +85,13 @@ def run(
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(result.magnetometer.time)} samples of the calibrated field{copied}")
-    for note in [
-        *notes,
-        *_uneven(result),
-    ]:  # of the values that were written, whether or not their number is shown
+    notes = [*notes, *uneven(result)]
+    for note in notes:  # of the values that were written, whether or not their number is shown
         complain(f"note: {note}")
     doubts = [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
     for doubt in doubts:
         complain(f"the result must not be trusted: {doubt}")
     return concluded(judged(calibration)) or int(bool(doubts))
-
-
-def _uneven(calibrated: Recording) -> list[str]:
-    """Return a note if the strength of a calibrated field varies more than rooms make it vary."""
-    import numpy as np
-
-    low, middle, high = np.quantile(np.linalg.norm(calibrated.magnetometer.value, axis=1), [0.16, 0.5, 0.84])
-    varies = 0.5 * float(high - low) / max(float(middle), 1e-300)
-    if varies < _UNEVEN:
-        return []
-    return [
-        f"the strength of the calibrated field varies by {varies:.0%}: is the log of the calibration's instrument, "
-        "with the same iron? A field that varies along the way does the same"
-    ]
 
 
 def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float, progress: Progress) -> str:
