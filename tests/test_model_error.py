@@ -402,7 +402,7 @@ def test_the_message_and_the_numbers_say_what_is_noise_and_what_is_not() -> None
     np.testing.assert_array_equal(again.noise_covariance, noise)
 
 
-def test_few_windows_say_nothing() -> None:
+def test_few_windows_of_a_clean_log_show_nothing() -> None:
     fit = fit_field_chain(simulate("wide", duration=18, seed=1).recording)
     assert len(fit.chain.windows) < 30
     assert not model_error(fit).components
