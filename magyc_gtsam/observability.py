@@ -18,6 +18,7 @@ from magyc_gtsam.recording.checks import EARTH_FIELD
 HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading in a mid-latitude field
 SOFT_IRON_LIMIT = 0.05
 GYRO_BIAS_LIMIT = 15e-3  # rad/s
+ROTATION_LIMIT = 0.03  # rad between the sensors: three degrees of heading in a mid-latitude field
 _ROWS_FOR_VERTICAL = 2000
 _LEAST_MEAN_FORCE = (
     5.0  # m/s²; an instrument whose mean specific force is less was tumbled and has no vertical axis
@@ -34,7 +35,7 @@ class Weakness:
         what: the parameter and axis, in words.
         sigma: standard deviation along that direction, in `unit`.
         limit: standard deviation above which the result must not be trusted, in `unit`.
-        unit: "µT" (or "counts"), "%" or "mrad/s".
+        unit: "µT" (or "counts"), "%", "mrad/s" or "°".
         remedy: the motion that would determine it.
     """
 
@@ -88,8 +89,10 @@ class Assessor:
     hard_iron: Array | None = None
     misalignment: MisalignmentError | None = None
 
-    def of(self, covariance: Array) -> Observability:
-        """Return the result of `assess` for a covariance."""
+    def of(self, covariance: Array, rotation: Array | None = None) -> Observability:
+        """Return the result of `assess` for a covariance, and for that (3, 3) rad² of the rotation between the sensors
+        as far as it is to be judged.
+        """
         shown, unit_shown = self.recording.field_shown
         in_tesla = self.recording.magnetic_field_unit == "T"
         limit = (
@@ -97,10 +100,12 @@ class Assessor:
             if in_tesla
             else self.field_strength
         )
+        turned = np.zeros((3, 3)) if rotation is None else rotation
         groups = (
             ("hard iron along", covariance[6:9, 6:9], shown, HARD_IRON_LIMIT * limit * shown, unit_shown),
             ("soft iron along", covariance[:6, :6], 1e2, SOFT_IRON_LIMIT * 1e2, "%"),
             ("gyroscope bias about", covariance[9:, 9:], 1e3, GYRO_BIAS_LIMIT * 1e3, "mrad/s"),
+            ("rotation of the magnetometer about", turned, 180 / np.pi, np.degrees(ROTATION_LIMIT), "°"),
         )
         weak = []
         for what, block, scale, largest, unit in groups:
@@ -110,7 +115,12 @@ class Assessor:
             for sigma, vector in zip(np.sqrt(np.maximum(variance, 0.0)) * scale, vectors.T, strict=True):
                 if sigma > 0.5 * largest:
                     axis = _stretched(vector) if len(vector) == 6 else vector
-                    remedy = _rest_or_move(sigma) if unit == "mrad/s" else _remedy(axis, _vertical(self.recording))
+                    if unit == "mrad/s":
+                        remedy = _rest_or_move(sigma)
+                    elif unit == "°":
+                        remedy = "fix the magnetometer to the gyroscope, and calibrate from then on"
+                    else:
+                        remedy = _remedy(axis, _vertical(self.recording))
                     weak.append(Weakness(f"{what} {_axis_name(axis)}", float(sigma), largest, unit, remedy))
         weak.sort(key=lambda w: -w.sigma / w.limit)
         return Observability(

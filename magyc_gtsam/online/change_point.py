@@ -6,8 +6,9 @@ of Δ after θ and all directions are eliminated (Willsky and Jones 1976, here o
 share one factorisation. Without a step λ is χ² with 3 degrees of freedom.
 
 If the field itself changes with the place, an offset that is fixed in the world explains the windows better than one
-that is fixed in the sensor. Only rotation distinguishes the two; until the sensor has turned, a change counts as a
-step only if it is larger than changes of the field between places.
+that is fixed in the sensor, and if the magnetometer was turned against the gyroscope, a rotation does. Only rotation
+distinguishes them; until the sensor has turned, a change counts as a step only if it is larger than changes of the
+field between places.
 
 A disturbed stretch also gives a large λ. A candidate is therefore fitted: the step is subtracted from the windows, all
 windows are fitted, and the step is estimated again at that fit. The robust cost, which counts a disturbed window no
@@ -78,11 +79,13 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Step
         return StepSearch(None)
     if np.linalg.norm(step[n]) < smallest:
         return StepSearch(None, undecided=True)
-    placed = step_profile(chain, state, weights, reduced, chain.seen(state.parameters))
-    rival = placed.at_windows()[0][_BEFORE : len(ratio)]
+    rival = max(
+        step_profile(chain, state, weights, reduced, column).at_windows()[0][_BEFORE : len(ratio)].max()
+        for column in (chain.seen(state.parameters), chain.turned(state))
+    )
     strength = np.cbrt(abs(np.linalg.det(unvech(state.parameters[:6]))))
     undecided = StepSearch(None, True, bool(np.linalg.norm(step[n]) > LARGE * strength))
-    lead = (ratio[n] - rival.max()) / colour
+    lead = (ratio[n] - rival) / colour
     in_sensor_frame = lead > MARGIN or (lead > -ALIKE and turned(chain.windows.rotation[:, :, n:]) > TURNED)
     if not in_sensor_frame and np.linalg.norm(step[n]) < NO_PLACE * strength:
         return undecided

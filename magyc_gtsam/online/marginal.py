@@ -19,7 +19,7 @@ from magyc_gtsam.estimators.smoother.skew import SkewPriorFact, with_angles
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.field_chain import FieldChain
-from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _UNMEASURED = 1e-3  # factor of the first window's `window_scale`, since the marginal already contains its field
 HARD_IRON = slice(6, 9)
@@ -125,6 +125,12 @@ class ContinuedChain(FieldChain):
     def seen(self, parameters: Array) -> Array:
         """Return the reading (3, 3, n) T of each window per unit of a field fixed in the world."""
         return np.einsum("ij,jkn->ikn", iron_matrix(parameters), self.rotation(parameters))
+
+    def turned(self, state: ChainState) -> Array:
+        """Return the change (3, 3, n) T of each window per rad of a rotation of the magnetometer about each axis."""
+        field = np.einsum("ijn,jn->in", self.rotation(state.parameters), state.direction)
+        across = cross(np.eye(3)[:, :, None], field[:, None])
+        return np.einsum("ij,jkn->ikn", iron_matrix(state.parameters), across)
 
     def past_cost(self, state: ChainState) -> float:
         """Return the cost of the past at `state`, relative to the point of its marginal."""

@@ -1,13 +1,18 @@
-"""The parameter error that a change of the iron within the newest windows may cause.
+"""The parameter error that a change of the instrument within the newest windows may cause.
 
-A robust fit rejects the windows after a change as disturbed, and keeps the calibration from before it, as certain as it
-was, until they are many; if the change is small, it mixes both. At a reading, a change of soft and hard iron before the
-newest 2, 4, 8, … windows is therefore tested by its score, all windows since counting alike. Where one is possible,
-these windows are fitted again, given the marginal of those before them, with an iron that may have changed, and with
-another field of the place, which explains as much until the sensor turns. Steel beside a sensor need not have a
-symmetric soft iron: the change may turn the field as well, which is a misalignment of the chips. With p the
-probability that the iron changed rather than the place, or a disturbance came, and θ' and C' the parameters and their
-covariance if it did,
+A robust fit rejects the windows after a change as disturbed, or a single link where the field's direction jumps, and
+keeps the calibration from before it, as certain as it was, until they are many; if the change is small, it mixes both.
+At a reading, a change is therefore looked for before the newest 2, 4, 8, … windows, by its score, all windows since
+counting alike, and where the windows or links that are rejected begin. From where one is possible, the windows are
+fitted again, given the marginal of those before them, with each of
+
+    iron    another soft and hard iron. Steel beside a sensor need not have a symmetric soft iron: it may turn the field
+            as well, which is a misalignment of the chips;
+    turn    a magnetometer that was turned against the gyroscope, as by a blow;
+    place   another field of the place, which explains as much until the sensor turns.
+
+With p the probability of a change of the instrument, rather than of the place, or a disturbance, and θ' and C' the
+parameters and their covariance if it changed,
 
     p (C' + d dᵀ),   d = θ' − θ,
 
@@ -44,47 +49,83 @@ class _Belief:
     """What is believed of a change before the newest windows are known, and when it is tested."""
 
     windows: tuple[int, ...] = (2, 4, 8, 16, 32, 64, 128)  # since the change
-    odds: float = 0.03  # prior odds of a change at each of these, where windows do not fit, against a disturbance
-    odds_of_place: float = 1.0  # the same of another field of the place
+    # Prior odds of a change at each of these, where windows do not fit, against a disturbance: of the iron, of the
+    # sensor's attitude, and of the field of the place.
+    odds: float = 0.03
+    odds_of_turn: float = 0.03
+    odds_of_place: float = 1.0
     # Standard deviation of an element of a change, as a share of the field strength: the least, and the largest
     least: float = 0.02
     most: float = 0.04  # larger steps of the hard iron are found after a few windows (`change_point`)
+    turn: float = 0.1  # rad an axis, the same of a turn; of the place, a share of the field, as its rival
+    broken: int = 1024  # newest windows in which a change is looked for where windows or links are rejected
     possible: float = 5.0  # gain in log-likelihood from which a change is possible
     share: float = 0.5  # of the largest gain, from which a change at another time is considered
 
 
 _BELIEF = _Belief()
+_ODDS = {"iron": _BELIEF.odds, "turn": _BELIEF.odds_of_turn, "place": _BELIEF.odds_of_place}
+_REJECTED = 16.27  # χ² of 3 degrees of freedom at 99.9 %, from which a window or link does not fit
 
 
 def recent_change(fit: Fit) -> Component | None:
-    """Return the error that a recent change of the iron may cause; None if the newest windows exclude it.
+    """Return the error that a recent change of the instrument may cause; None if the newest windows exclude it.
 
     Args:
         fit: of all windows, or of the last ones given those before, at its minimum.
     """
     chain = continued(fit)
     strength = float(np.cbrt(abs(np.linalg.det(unvech(fit.state.parameters[:6])))))
-    scores = _scores(fit, chain, strength)
-    least = max(_BELIEF.possible, _BELIEF.share * max((score.gain for score in scores), default=0.0))
-    changes = [
-        change
-        for score in scores
-        if score.gain >= least
-        for change in _changes(fit, chain, len(chain.windows) - score.windows, score.sigma)
-    ]
-    iron = np.array([change.of_iron for change in changes], dtype=bool)
-    if not iron.any():
+    changes = _possible(fit, chain, strength)
+    of_place = np.array([change.what == "place" for change in changes], dtype=bool)
+    if of_place.all():
         return None
-    prior = np.log(np.where(iron, _BELIEF.odds, _BELIEF.odds_of_place))
+    prior = np.log([_ODDS[change.what] for change in changes])
     nats = np.append(prior + [change.evidence for change in changes], 0.0)
     share = np.exp(nats - nats.max())
-    share = (share / share.sum())[:-1][iron]
-    found = [change for change in changes if change.of_iron]
+    share = (share / share.sum())[:-1][~of_place]
+    found = [change for change in changes if change.what != "place"]
     best = found[int(np.argmax(share))]
     second = np.einsum("k,kij->ij", share, [each.second for each in found])
-    size = float(np.linalg.norm(best.away[_IRON]))
-    words = f"soft or hard iron may have changed in the last {best.duration:.0f} s"
+    size, words = _described(best, strength)
     return Component("recent change", words, size, best.evidence, second, share=float(share.sum()))
+
+
+def _described(change: _Change, strength: float) -> tuple[float, str]:
+    """Return the size of a change of the instrument, T, and what happened in words."""
+    within = f"in the last {change.duration:.0f} s"
+    if change.what == "turn":
+        angle = float(np.linalg.norm(change.away[SKEW]))
+        words = f"the magnetometer may have turned by {np.degrees(angle):.2g}° against the gyroscope {within}"
+        return angle * strength, words
+    return float(np.linalg.norm(change.away[_IRON])), f"soft or hard iron may have changed {within}"
+
+
+def _possible(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Change]:
+    """Return the changes that the newest windows do not exclude, each fitted."""
+    scores = _scores(fit, chain, strength)
+    least = max(_BELIEF.possible, _BELIEF.share * max((score.gain for score in scores), default=0.0))
+    possible = {len(chain.windows) - score.windows: score.sigma for score in scores if score.gain >= least}
+    broken = _broken(fit, chain)
+    changes = []
+    for first in sorted({*possible, *broken}):
+        changes += _changes(fit, chain, first, possible.get(first, _BELIEF.most * strength), first in broken)
+    return changes
+
+
+def _broken(fit: Fit, chain: ContinuedChain) -> set[int]:
+    """Return the newest window whose link to the one before is broken most, and that from which most do not fit."""
+    oldest = max(len(chain.windows) - _BELIEF.broken, _FEWEST)
+    window, link = chain.squares(fit.residuals)
+    window, link = window[oldest:], link[oldest - 1 :]
+    misfit = np.minimum(window, _REJECTED) + np.minimum(link, _REJECTED)
+    gain = np.cumsum((misfit - 0.5 * _REJECTED)[::-1])[::-1]
+    result = set()
+    for found in (link, gain):
+        first = int(np.argmax(found)) if len(found) else 0
+        if first < len(found) - 1 and found[first] > _REJECTED:
+            result.add(oldest + first)
+    return result
 
 
 class _Score(NamedTuple):
@@ -143,42 +184,45 @@ class _Change(NamedTuple):
     """A change `duration` s ago.
 
     Attributes:
-        of_iron: whether it is one of the iron, not of the field of the place.
+        what: "iron", "turn" or "place".
         evidence: log-likelihood ratio against none.
         away: (16,) θ with it less θ without it; second: (16, 16) its second moment.
     """
 
-    of_iron: bool
+    what: str
     duration: float
     evidence: float
     away: Array
     second: Array
 
 
-def _changes(fit: Fit, chain: ContinuedChain, first: int, sigma: float) -> list[_Change]:
-    """Return a change of the iron by `sigma` (T) an element before window `first`, and one of the field by as much.
+def _changes(fit: Fit, chain: ContinuedChain, first: int, sigma: float, broken: bool) -> list[_Change]:
+    """Return changes before window `first`: of the iron and of the field by `sigma` (T) an element; where residuals are
+    `broken`, of the attitude and of the field by as much, too.
 
-    Either is left out if the windows determine no fit.
+    One is left out if the windows determine no fit.
     """
     past = chain.marginalise(fit.state, fit.weights, first - 1)
     if len(fit.state.parameters) == PARAMETERS:
         past = _aligned(past)
-    soft_iron = fit.state.parameters[:6]
-    strength = float(np.cbrt(abs(np.linalg.det(unvech(soft_iron)))))
-    iron, place = np.zeros((len(past.gradient), 12)), np.zeros((len(past.gradient), 3))
+    soft_iron, size = fit.state.parameters[:6], len(past.gradient)
+    share = sigma / float(np.cbrt(abs(np.linalg.det(unvech(soft_iron)))))
+    iron, turn = np.zeros((size, 12)), np.zeros((size, 3))
     iron[_IRON, :9] = sigma * np.eye(9)
     # What is not symmetric of a soft iron turns the field.
-    iron[SKEW, 9:] = np.sqrt(0.5) * sigma / strength * np.eye(3)
-    place[:6, 0] = sigma / strength * soft_iron  # the strength of the field
-    place[WITH_SKEW:, 1:] = sigma / strength * np.eye(2)  # its direction
-    either = [
-        _change(fit, chain, past, first, columns, of_iron) for columns, of_iron in ((iron, True), (place, False))
-    ]
-    return [change for change in either if change is not None]
+    iron[SKEW, 9:] = np.sqrt(0.5) * share * np.eye(3)
+    turn[SKEW] = _BELIEF.turn * np.eye(3)
+    place = np.zeros((size, 3))
+    place[:6, 0] = soft_iron  # the strength of the field
+    place[WITH_SKEW:, 1:] = np.eye(2)  # its direction
+    every = [("iron", iron), ("place", share * place)]
+    every += [("turn", turn), ("place", _BELIEF.turn * place)] if broken else []
+    found = [_change(fit, chain, past, first, columns, what) for what, columns in every]
+    return [change for change in found if change is not None]
 
 
 def _change(
-    fit: Fit, chain: ContinuedChain, past: Marginal, first: int, columns: Array, of_iron: bool
+    fit: Fit, chain: ContinuedChain, past: Marginal, first: int, columns: Array, what: str
 ) -> _Change | None:
     """Return the change before window `first` by `columns` (18, k) of standard deviation one each."""
     last = first - 1
@@ -207,7 +251,7 @@ def _change(
     away = changed.state.parameters - before_it
     second = fit.colour * changed.covariance + np.outer(away, away)
     evidence = 0.5 * ((before - after - by_past) / fit.colour + volume)
-    return _Change(of_iron, float(windows.time[-1] - windows.time[0]), evidence, away, second)
+    return _Change(what, float(windows.time[-1] - windows.time[0]), evidence, away, second)
 
 
 def _log_volume(fit: Fit) -> float:

@@ -19,7 +19,6 @@ from magyc_gtsam.estimators.smoother.preparation import (
     short_term_noise,
     suitable_turn,
 )
-from magyc_gtsam.estimators.smoother.reasons import misfits
 from magyc_gtsam.estimators.smoother.search import (
     disturbed,
     fit_field_chain,
@@ -28,9 +27,8 @@ from magyc_gtsam.estimators.smoother.search import (
     shortened,
     with_skew,
 )
-from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
-from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
@@ -39,6 +37,7 @@ from magyc_gtsam.online.marginal import BIAS, ContinuedChain, continued
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
 from magyc_gtsam.online.report import LEAST_STABLE, drift_of, observable, report_of, testable
 from magyc_gtsam.online.restart import SOFT_IRON, restart_after_change, restart_at_convergence, soft_iron_changed
+from magyc_gtsam.online.stability import agree, is_stable, to_compare
 from magyc_gtsam.online.state import Estimate, SmootherState
 from magyc_gtsam.recording import Array, Recording
 
@@ -46,7 +45,6 @@ _MOVED = 3.0  # ratio of the field's spread to its short-term noise below which 
 SHORTEST_TAIL = 24  # windows
 REFIT_GROWTH = 1.25  # growth of the windows between two refits
 _SEARCH = 1.5  # growth of the windows between two fits that do not begin at the estimate
-_STILL = 1.5  # sigmas of the preceding refit by which a parameter of a converged estimate may have moved
 _NOISE_WINDOWS = 60  # fewest windows after a step for which noise levels are estimated
 _MOST_LOOKED_BACK = 400  # largest number of windows that are searched for steps when the estimate has converged
 
@@ -124,7 +122,7 @@ def refit(online: SmootherState) -> None:
     if belief.front is not None:
         _walk(online)
         return
-    later = search and settings.detect_changes and LEAST_STABLE <= count <= _MOST_LOOKED_BACK
+    later = search and settings.detect_changes and count >= LEAST_STABLE
     recording = online.recording(belief.done)
     belief.problem = nothing_turned(recording) if belief.estimate is None else ""
     if belief.problem:
@@ -137,21 +135,26 @@ def refit(online: SmootherState) -> None:
     except MagycError as problem:
         _give_up(online, problem)
         if later:
-            restart_after_change(online)
+            restart_after_change(online, online.middle)
         return
     estimate, report = _report(online, recording, fit, count)
+    if belief.past is not None and count >= LEAST_STABLE and not (report.converged and belief.stable):
+        alone = _without_past(online, recording, report)
+        if alone is not None:
+            fit, samples = alone
+            estimate, report = _report(online, recording, fit, count)
     if not report.converged and belief.past is None:
         try:
             axes.check(recording)  # a fit that starts at an earlier one leaves it out
         except MagycError as problem:
             _give_up(online, problem)
             return
-    if later and not report.converged and belief.drift is None and restart_after_change(online):
+    if later and not report.converged and belief.drift is None and restart_after_change(online, online.middle):
         return
-    to_compare = _to_compare(fit, estimate, report)
+    judged_by = to_compare(online, fit, report)
     if belief.past is None and not observable(report):
         belief.head, belief.estimate, belief.stable = None, None, False  # nothing to continue from
-        belief.refitted = None if to_compare is None else belief.refitted
+        belief.refitted = None if judged_by is None else belief.refitted
         return
     numbers = _form_head_and_tail(online, fit, samples)
     belief.estimate = estimate
@@ -160,11 +163,37 @@ def refit(online: SmootherState) -> None:
         return
     was_stable, belief.stable = (
         belief.stable,
-        report.converged and count >= LEAST_STABLE and _is_stable(online, fit),
+        report.converged and count >= LEAST_STABLE and is_stable(online, fit),
     )
-    belief.refitted = to_compare
+    belief.refitted = judged_by
     if settings.detect_changes and belief.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
         restart_at_convergence(online, fit, report)
+
+
+def _without_past(
+    online: SmootherState, recording: Recording, report: Calibration
+) -> tuple[Fit, Preintegration] | None:
+    """Drop the past if the windows kept are trusted without it but contradict it, as after a sensor was replaced.
+
+    Args:
+        online: the state of the smoother.
+        recording: the samples of the windows kept.
+        report: the calibration of these windows with the past.
+
+    Returns:
+        Their fit and windows; None if the past is kept.
+    """
+    belief, kept = online.belief, (online.belief.past, online.belief.unexplained)
+    belief.past = belief.unexplained = None
+    try:
+        fit, samples = fit_batch(recording, None, online.fit_options)
+        alone = report_of(online, recording, fit)
+        if alone.converged and not (report.converged and agree(report, alone)):
+            return fit, samples
+    except MagycError:  # they do not determine a calibration
+        pass
+    belief.past, belief.unexplained = kept
+    return None
 
 
 def _give_up(online: SmootherState, problem: MagycError) -> None:
@@ -241,37 +270,5 @@ def _walk(online: SmootherState) -> None:
     fit = fit_random_walk(online, belief.done)
     belief.estimate = online.last._replace(parameters=fit.state.parameters, covariance=fit.covariance)
     belief.report = report_of(online, online.recording(belief.done, belief.tail), fit, belief.tail, online.last)
-    belief.stable = belief.report.converged and _is_stable(online, fit)
+    belief.stable = belief.report.converged and is_stable(online, fit)
     belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
-
-
-def _to_compare(fit: Fit, estimate: Estimate, report: Calibration) -> Array | None:
-    """Return θ and its sigmas (2, p), by which the next refit is judged; None if the model does not fit.
-
-    Such a fit has sigmas so wide that any next one is within them, though its data let several minima appear.
-    """
-    strength = report.field_strength
-    if strength is None or misfits(fit, strength, observable(report)):
-        return None
-    return np.array([estimate.parameters, np.sqrt(np.diag(estimate.covariance))])
-
-
-def _is_stable(online: SmootherState, fit: Fit) -> bool:
-    """Return whether no parameter moved by more than a few sigmas of the preceding refit and its random walk.
-
-    The comparison is at the misalignment of the preceding refit, since the effect of a different decision about it is
-    in the covariance of both.
-    """
-    belief, estimate = online.belief, online.last
-    if belief.refitted is None:
-        return False
-    factor = 2 if belief.stable else 1  # hysteresis: convergence is revoked at a larger change
-    variance = estimate.colour * belief.refitted[1] ** 2
-    hours = (online.buffer.magnetometer.time[-1] - online.buffer.magnetometer.time[0]) / 3600
-    for rows, walk in online.settings.walks:
-        variance[rows] += walk**2 * hours
-    moved = estimate.parameters[:DELAY] - belief.refitted[0][:DELAY]
-    if fit.skew is not None:
-        angles = [with_angles(parameters)[SKEW] for parameters in (belief.refitted[0], estimate.parameters)]
-        moved += fit.skew.gain[:DELAY] @ (angles[0] - angles[1])
-    return bool((np.abs(moved) <= factor * _STILL * np.sqrt(variance[:DELAY])).all())

@@ -98,20 +98,19 @@ def _marginal_before(chain: ContinuedChain, before: Fit) -> Marginal:
     return replace(chain, windows=replace(windows, count=count)).marginalise(state, weights, step_window)
 
 
-def restart_after_change(online: SmootherState) -> bool:
-    """Restart where the log begins to fit, if its second half fits but the whole does not; return whether it
-    restarted.
+def restart_after_change(online: SmootherState, first: int) -> bool:
+    """Restart where the log begins to fit, if the windows from number `first` on fit by themselves but those before do
+    not fit with them; return whether it restarted.
 
     The windows before are dropped: they have another hard iron, which is recorded as a change, or another field.
     """
-    numbers, done = online.numbers(), online.belief.done
-    recording = online.recording(done, int(numbers[len(numbers) // 2]))
+    recording = online.recording(online.belief.done, first)
     try:
         fit = fit_field_chain(recording, online.settings.without_prior)
         now = report_of(online, recording, fit)
         earlier = _change_before(online, fit) if now.converged else None
     except MagycError:
-        return False  # the second half does not fit either: wait for more data
+        return False  # these windows do not fit either: wait for more data
     if earlier is None:
         return False
     _begin_after(online, earlier, now)

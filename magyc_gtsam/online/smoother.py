@@ -33,12 +33,14 @@ from magyc_gtsam.online.random_walk import advance_filter, fit_random_walk
 from magyc_gtsam.online.recent_change import recent_change
 from magyc_gtsam.online.refit import REFIT_GROWTH, SHORTEST_TAIL, fit_samples, refit, refit_from_windows
 from magyc_gtsam.online.report import drift_of, report_of, testable
-from magyc_gtsam.online.restart import restart
-from magyc_gtsam.online.state import FIRST, Belief, OnlineOptions, SmootherState
+from magyc_gtsam.online.restart import restart, restart_after_change
+from magyc_gtsam.online.state import FIRST, LEAST_RESTARTED, Belief, OnlineOptions, SmootherState
 from magyc_gtsam.recording import Array, Samples
 
 _EVERY = 6  # windows between two fits of the tail
 _LONGEST_TAIL, _LONGEST_UNDECIDED = 56, 168  # windows
+_REJECTED, _MISFIT = 0.5, 0.5  # weight below which a window does not fit; share of the tail that does not
+_RETRY = 1.5  # growth of the windows that do not fit between two restarts
 _MOST_SAMPLES = 131072  # largest number of samples kept per sensor, for any horizon
 _NO_WALK = 6.0  # sigmas of a random walk beyond which a change counts as a step
 _MOST_WALKED = 400  # largest number of windows kept if parameters walk at random
@@ -79,6 +81,8 @@ class OnlineSmoother:
         belief = self._online.belief
         if belief.head is not None:
             self._follow()
+        if self._restarted():
+            return
         if not belief.settled:
             # A fit of all windows has a single hard iron, so it waits until a possible large step is decided.
             if len(self._online.numbers()) >= belief.next_refit and not belief.waiting:
@@ -94,6 +98,7 @@ class OnlineSmoother:
             if step is not None:
                 restart(online, fit, step, online.numbers(belief.tail))
                 return
+        self._note_misfit(fit)
         if belief.front is None:
             belief.estimate = estimate._replace(parameters=fit.state.parameters, covariance=fit.covariance)
         else:
@@ -103,6 +108,27 @@ class OnlineSmoother:
         if count > (_LONGEST_UNDECIDED if belief.undecided else _LONGEST_TAIL):
             belief.undecided = belief.waiting = False
             self._shorten(fit, count - SHORTEST_TAIL)
+
+    def _note_misfit(self, fit: Fit) -> None:
+        """Note since which window most of the tail do not fit, as after a sensor was replaced."""
+        belief = self._online.belief
+        rejected = fit.weights.window < _REJECTED
+        rejected[1:] |= fit.weights.link < _REJECTED
+        if rejected.mean() < _MISFIT:
+            belief.misfit_from, belief.next_restart = None, LEAST_RESTARTED
+        elif belief.misfit_from is None:
+            belief.misfit_from = int(self._online.numbers(belief.tail)[np.argmax(rejected)])
+
+    def _restarted(self) -> bool:
+        """Restart if the windows since most do not fit are many, and fit by themselves; return whether it restarted."""
+        online, belief = self._online, self._online.belief
+        if belief.misfit_from is None or not online.settings.detect_changes:
+            return False
+        count = len(online.numbers(belief.misfit_from))
+        if count < belief.next_restart:
+            return False
+        belief.next_restart = int(_RETRY * count)
+        return restart_after_change(online, belief.misfit_from)
 
     def _smallest_step(self, fit: Fit) -> float:
         """Return the smallest step, T, that exceeds the random walk of the hard iron within the tail."""
@@ -118,19 +144,24 @@ class OnlineSmoother:
             elapsed = float(chain.windows.time[first] - chain.windows.time[0])
             for rows, walk in online.settings.walks:
                 belief.head = belief.head.widen(rows, walk * np.sqrt(elapsed / 3600))
-        if belief.settled:
+        if belief.settled and (belief.misfit_from is None or self._is_full):
             online.close()
+
+    @property
+    def _is_full(self) -> bool:
+        """Whether as many samples are kept as may be."""
+        online = self._online
+        mag, gyro = online.buffer.magnetometer.time, online.buffer.gyroscope.time
+        return bool(gyro[-1] - gyro[0] > online.settings.horizon or max(len(mag), len(gyro)) > _MOST_SAMPLES)
 
     def _give_up(self) -> None:
         """Limit the samples kept: move the head to the past once converged, otherwise drop the oldest quarter."""
         online, belief = self._online, self._online.belief
-        mag, gyro = online.buffer.magnetometer.time, online.buffer.gyroscope.time
-        full = gyro[-1] - gyro[0] > online.settings.horizon or max(len(mag), len(gyro)) > _MOST_SAMPLES
         walked = belief.front is not None and len(online.numbers()) >= _MOST_WALKED
-        if belief.stable and (full or walked):
+        if belief.stable and (self._is_full or walked):
             belief.settled = True
             online.close()
-        elif full:
+        elif self._is_full:
             numbers = online.numbers()
             online.begin_at(int(numbers[len(numbers) // 4]))
 

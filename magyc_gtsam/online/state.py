@@ -29,6 +29,7 @@ from magyc_gtsam.recording.held import with_equal_samples
 from magyc_gtsam.storage.json_types import from_typed_json, typed_json
 
 FIRST = 12  # windows before the first fit
+LEAST_RESTARTED = 80  # fewest windows that are fitted by themselves after those before cease to fit
 # Options of the batch method that need the whole recording, or channels that no stream has.
 _NOT_ONLINE = ("gyroscope_scale", "soft_iron_walk", "heading", "declination")
 
@@ -137,6 +138,8 @@ class Belief:
         stable: whether the estimate has converged.
         undecided: whether the tail may contain a step.
         waiting: whether a refit waits for its decision, because the step would be large.
+        misfit_from: number of the first window of a tail of which most windows did not fit; None if they do.
+        next_restart: windows since then at which they are fitted by themselves.
         problem: why there is no estimate; "" if there is one.
         doubt: why the last refit rejected a misalignment that the data suggest.
         contradictions: of the earlier calibration by the data, at the last refit.
@@ -163,6 +166,8 @@ class Belief:
     stable: bool = False
     undecided: bool = False
     waiting: bool = False
+    misfit_from: int | None = None
+    next_restart: int = LEAST_RESTARTED
     problem: str = ""
     doubt: str = ""
     contradictions: list[str] = field(default_factory=list)
@@ -248,6 +253,12 @@ class SmootherState:
         numbers = self.buffer.numbers
         return np.unique(numbers[slice(*np.searchsorted(numbers, [first, self.belief.done]))])
 
+    @property
+    def middle(self) -> int:
+        """The number of the window in the middle of those kept."""
+        numbers = self.numbers()
+        return int(numbers[len(numbers) // 2])
+
     def recording(self, stop: int | None, first: int | None = None) -> Recording:
         """Return the samples of the windows from `first` up to `stop`; None for no limit."""
         magnetometer, gyroscope = self.buffer.between(first, stop, self.delay)
@@ -280,4 +291,5 @@ class SmootherState:
         belief.estimate = belief.refitted = belief.report = belief.drift = belief.unexplained = None
         belief.next_refit = belief.next_search = FIRST
         belief.stable = belief.settled = belief.undecided = belief.waiting = False
+        belief.misfit_from, belief.next_restart = None, LEAST_RESTARTED
         belief.doubt, belief.contradictions = "", []

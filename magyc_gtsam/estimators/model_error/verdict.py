@@ -8,14 +8,14 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.model_error import ModelError
-from magyc_gtsam.factors.chain.chain_values import DELAY
+from magyc_gtsam.factors.chain.chain_values import DELAY, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.observability import Observability
 
 _MOST = 2.0  # multiple of the observability limits that noise and model error together may reach
 _MENTIONED = 0.5  # model error, as a share of the sigma by the sensors' noise, from which it is mentioned
 _NAMED = 2  # most components in a sentence
-_ROWS = {"hard": slice(6, 9), "soft": slice(0, 6), "gyroscope": slice(9, 12)}
+_ROWS = {"hard": slice(6, 9), "soft": slice(0, 6), "gyroscope": slice(9, 12), "rotation": SKEW}
 
 
 def reason(error: ModelError, probable: Observability, noise: Observability) -> str:

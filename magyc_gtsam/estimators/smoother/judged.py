@@ -92,13 +92,13 @@ def judge(
     observability = assessor.of(of_sensors)
     whole = observability
     if unexplained.covariance.any():
-        whole = assessor.of(reported)
+        whole = assessor.of(reported, _of_rotation(unexplained.covariance))
     probable = whole
     if (
         whole.weak and unexplained.possible
     ):  # merely possible effects widen the sigmas without changing the verdict
         of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
-        probable = assessor.of(scale.covariance(of_probable[:12, :12]))
+        probable = assessor.of(scale.covariance(of_probable[:12, :12]), _of_rotation(unexplained.probable))
     reasons = (
         flickers(samples),
         too_slow(samples),
@@ -123,6 +123,11 @@ def judge(
         told,
         misalignment,
     )
+
+
+def _of_rotation(covariance: Array) -> Array | None:
+    """Return the block (3, 3) of the misalignment; None if it is not a parameter."""
+    return covariance[SKEW, SKEW] if len(covariance) > PARAMETERS else None
 
 
 def _misalignment_error(skew: Skew | None, scale: IronScale, unexplained: ModelError) -> MisalignmentError | None:
