@@ -49,6 +49,22 @@ def test_a_few_stamps_far_behind_are_left_out_and_a_clock_that_is_set_back_is_no
         taken(np.r_[time, 50 + 0.1 * np.arange(40)], cut)
 
 
+@pytest.mark.parametrize("cut", [1, 7, 1000])
+def test_messages_that_are_sent_again_are_left_out_and_set_no_clock_back(cut: int) -> None:
+    time = 100 + 0.1 * np.arange(300)
+    field = 1e-5 + 1e-8 * np.random.default_rng(1).normal(size=(300, 3))
+    order = np.r_[0:200, 120:200, 200:300]  # eight seconds again, as after a connection was lost
+    intake, stamps = Intake(), []
+    for i in range(0, len(order), cut):
+        rows = order[i : i + cut]
+        stamps += intake.take(time[rows], field[rows], None)[0].time.tolist()
+    assert stamps == time.tolist()
+    assert int(intake.state()["count"][1]) == len(order) - 300
+    # The same stamps with other values are those of a clock that was set back.
+    with pytest.raises(mg.MagycError, match="time goes back from 129.900 to 112.500 s and stays there"):
+        intake.take(time[120:160], field[120:160] + 1e-6, None)
+
+
 @pytest.mark.parametrize("step", [0.01, 0.1, 2.0, 30.0])
 def test_regular_stamps_are_all_taken(step: float) -> None:
     time = step * np.arange(100)
@@ -157,7 +173,9 @@ def test_an_error_of_single_samples_costs_no_other_sample() -> None:
     for k in range(100, 109):
         online.update(time[k], field[k], rate[k])
     for k in range(6):
-        online.update(float(time[k]), field[k], rate[k])  # the sixth shows that it is not a few late samples
+        online.update(
+            float(time[k]), field[k + 50], rate[k + 50]
+        )  # the sixth shows that these are not late samples
     with pytest.raises(mg.MagycError, match="time goes back"):
         online.update(time[109:], field[109:], rate[109:])
     assert online.taken_until == (time[-1], time[-1])

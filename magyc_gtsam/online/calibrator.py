@@ -20,9 +20,10 @@ from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import cells
+from magyc_gtsam.online.arguments import scalar, vector
 from magyc_gtsam.online.chance_repeats import ChanceRepeats
 from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
-from magyc_gtsam.online.intake import Intake, scalar, vector
+from magyc_gtsam.online.intake import Intake
 from magyc_gtsam.online.locked import locked
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
@@ -35,10 +36,9 @@ _ENGINES = {  # method → "module:class"; the class takes the method's options 
     "smoother": "magyc_gtsam.online.smoother:OnlineSmoother",
     "magyc-ifg": "magyc_gtsam.online.magyc_ifg:IncrementalMagyc",
 }
-
 _TOGETHER = 16  # number of single samples that are processed together
 _MOST_DIRECTIONS = 2000  # largest number of samples whose directions count as visited
-_FORMAT = "magyc-gtsam online state 18"
+_FORMAT = "magyc-gtsam online state 19"
 
 
 class OnlineCalibrator:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.numbers import real_array
+from magyc_gtsam.online.arguments import block
 from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.stamps import check_seconds
@@ -17,6 +17,7 @@ from magyc_gtsam.recording.stamps import check_seconds
 _LATE = 1.0  # s behind the last stamp; more, six times in a row, means that a clock was set back
 _LEAP = 3.0  # ratio to the previous step, and at least `_LATE`, by which a stamp may be ahead without confirmation
 _SILENT = 60.0  # s by which a sensor may be behind the other before the estimate is out of date
+_REMEMBERED = 2048  # rows of each sensor by which those that are sent again are known: 200 s at 10 Hz
 _CONFIRMED_BY = 5  # number of further stamps that confirm one which leaps ahead or back
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
@@ -37,6 +38,7 @@ class _Stream:
         last: (4,) stamp, s, and value of the last one; before the first −inf and NaN.
         step: s between the last two.
         behind: number of the last rows in a row that were later than `_LATE` allows.
+        recent: (n, 4) the last rows admitted, by which rows that are sent again are known.
         quarantine: (n, 4) stamps and values that are not confirmed yet.
     """
 
@@ -45,6 +47,7 @@ class _Stream:
     step: float = 0.0
     behind: int = 0
     quarantine: Array = field(default_factory=lambda: np.empty((0, 4)))
+    recent: Array = field(default_factory=lambda: np.empty((0, 4)))
 
     def take(self, stamps: Array, value: Array) -> tuple[Array, _Stream, int]:
         """Return the rows (n, 4) that are admitted, the stream after them, and the number of rows left out.
@@ -62,7 +65,8 @@ class _Stream:
             last = ascending[-1].copy()
             before = float(ascending[-2, 0] if len(ascending) > 1 else self.last[0])
             step = float(last[0]) - before if np.isfinite(before) else step
-        return ascending, _Stream(self.name, last, step, behind, quarantine), left_out
+        recent = np.vstack([self.recent, ascending])[-_REMEMBERED:] if len(ascending) else self.recent
+        return ascending, _Stream(self.name, last, step, behind, quarantine, recent), left_out
 
     def _within_limits(self, stamps: Array, value: Array) -> tuple[Array, int]:
         """Return the rows of stamp and value that are finite and within the limit, and the number of rows left out.
@@ -94,6 +98,8 @@ class _Stream:
             return rows, self.behind
         before = np.maximum.accumulate(np.concatenate([self.last[:1], when]))[:-1]
         far, place = before - when > _LATE, np.arange(1, len(when) + 1)
+        if far.any():
+            far &= ~_among(rows, np.vstack([self.recent, rows[when > before]]))
         since = np.maximum.accumulate(
             np.where(far, -self.behind, place)
         )  # the last row before that was not far behind
@@ -105,6 +111,13 @@ class _Stream:
                 "if a clock was set, keep the calibration so far and start a new run without the saved state"
             )
         return rows[when > before], int(run[-1])
+
+
+def _among(rows: Array, known: Array) -> np.ndarray:
+    """Return (n,) bool, which rows equal one of the `known`, whose stamps ascend, in stamp and value."""
+    at = np.searchsorted(known[:, 0], rows[:, 0]).clip(max=len(known) - 1)
+    same: np.ndarray = (known[at] == rows).all(axis=1)
+    return same
 
 
 class Intake:
@@ -123,9 +136,9 @@ class Intake:
         Raises:
             MagycError: shapes or units are wrong, or a clock was set back; the intake is then unchanged.
         """
-        stamps = _array("time", time, 0)
+        stamps = block("time", time, 0)
         given = [
-            None if value is None else _array(name, value, 1)
+            None if value is None else block(name, value, 1)
             for name, value in zip(_NAMES, (magnetic_field, angular_rate), strict=True)
         ]
         taken = [
@@ -181,6 +194,7 @@ class Intake:
             "count": np.array([self._first, self._left_out, *(stream.behind for stream in self._streams)]),
             "step": np.array([stream.step for stream in self._streams]),
             **{f"quarantine/{stream.name}": stream.quarantine for stream in self._streams},
+            **{f"recent/{stream.name}": stream.recent for stream in self._streams},
         }
 
     def restore(self, state: Mapping[str, Array]) -> None:
@@ -188,7 +202,14 @@ class Intake:
         self._first, left_out, *behind = state["count"].tolist()
         self._left_out = int(left_out)
         self._streams = tuple(
-            _Stream(name, last.copy(), float(step), int(count), state[f"quarantine/{name}"])
+            _Stream(
+                name,
+                last.copy(),
+                float(step),
+                int(count),
+                state[f"quarantine/{name}"],
+                state[f"recent/{name}"],
+            )
             for name, last, step, count in zip(_NAMES, state["last"], state["step"], behind, strict=True)
         )
 
@@ -246,43 +267,3 @@ def _wait(waiting: list[int], time: Array, i: int) -> None:
     while waiting and time[waiting[-1]] >= time[i]:
         waiting.pop()
     waiting.append(i)
-
-
-def scalar(name: str, value: ArrayLike) -> float:
-    """Return one number.
-
-    Raises:
-        MagycError: the value is not a number.
-    """
-    try:
-        return float(np.asarray(value, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        raise MagycError(f"{name}: not a number ({error})") from None
-
-
-def vector(name: str, value: ArrayLike | None) -> Array:
-    """Return a copy (3,) of one sample, NaN for None."""
-    if value is None:
-        return np.full(3, np.nan)
-    try:
-        array = real_array(value, copy=True)
-    except (TypeError, ValueError) as error:
-        raise MagycError(f"{name}: not an array of numbers ({error})") from None
-    if array.shape != (3,):
-        raise MagycError(f"{name}: shape {array.shape} for one stamp, expected (3,)")
-    return array
-
-
-def _array(name: str, value: ArrayLike, vectors: int) -> Array:
-    """Return an array (N,) or (N, 3) from one sample or a block."""
-    try:
-        array = real_array(value, copy=True)
-    except (TypeError, ValueError) as error:
-        raise MagycError(f"{name}: not an array of numbers ({error})") from None
-    if array.ndim == vectors:
-        array = array[None]
-    if array.ndim != vectors + 1 or (vectors and array.shape[1] != 3):
-        raise MagycError(
-            f"{name}: shape {array.shape}, expected {'(N, 3) or (3,)' if vectors else '(N,) or a number'}"
-        )
-    return array
