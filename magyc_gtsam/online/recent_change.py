@@ -58,7 +58,8 @@ class _Belief:
     least: float = 0.02
     most: float = 0.04  # larger steps of the hard iron are found after a few windows (`change_point`)
     turn: float = 0.1  # rad an axis, the same of a turn; of the place, a share of the field, as its rival
-    broken: int = 1024  # newest windows in which a change is looked for where windows or links are rejected
+    broken: int = 2400  # newest windows in which a change is looked for where windows or links are rejected
+    unlikely: float = -7.0  # logarithm of the odds below which a change is left out
     possible: float = 5.0  # gain in log-likelihood from which a change is possible
     share: float = 0.5  # of the largest gain, from which a change at another time is considered
 
@@ -105,12 +106,10 @@ def _possible(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Change]
     """Return the changes that the newest windows do not exclude, each fitted."""
     scores = _scores(fit, chain, strength)
     least = max(_BELIEF.possible, _BELIEF.share * max((score.gain for score in scores), default=0.0))
-    possible = {len(chain.windows) - score.windows: score.sigma for score in scores if score.gain >= least}
-    broken = _broken(fit, chain)
-    changes = []
-    for first in sorted({*possible, *broken}):
-        changes += _changes(fit, chain, first, possible.get(first, _BELIEF.most * strength), first in broken)
-    return changes
+    count = len(chain.windows)
+    tried = [("iron", count - score.windows, score.sigma / strength) for score in scores if score.gain >= least]
+    tried += [("turn", first, _BELIEF.turn) for first in _broken(fit, chain)]
+    return [change for what, first, share in tried for change in _changes(fit, chain, what, first, share)]
 
 
 def _broken(fit: Fit, chain: ContinuedChain) -> set[int]:
@@ -196,29 +195,37 @@ class _Change(NamedTuple):
     second: Array
 
 
-def _changes(fit: Fit, chain: ContinuedChain, first: int, sigma: float, broken: bool) -> list[_Change]:
-    """Return changes before window `first`: of the iron and of the field by `sigma` (T) an element; where residuals are
-    `broken`, of the attitude and of the field by as much, too.
+def _changes(fit: Fit, chain: ContinuedChain, what: str, first: int, share: float) -> list[_Change]:
+    """Return a change of the instrument before window `first`, and one of the field of the place of the same size.
 
-    One is left out if the windows determine no fit.
+    The latter is left out where the former is unlikely anyway, and each if the windows determine no fit.
+
+    Args:
+        fit, chain: of all windows.
+        what: "iron" or "turn".
+        first: window.
+        share: standard deviation of an element, as a share of the field strength, or in rad.
     """
     past = chain.marginalise(fit.state, fit.weights, first - 1)
     if len(fit.state.parameters) == PARAMETERS:
         past = _aligned(past)
     soft_iron, size = fit.state.parameters[:6], len(past.gradient)
-    share = sigma / float(np.cbrt(abs(np.linalg.det(unvech(soft_iron)))))
-    iron, turn = np.zeros((size, 12)), np.zeros((size, 3))
-    iron[_IRON, :9] = sigma * np.eye(9)
-    # What is not symmetric of a soft iron turns the field.
-    iron[SKEW, 9:] = np.sqrt(0.5) * share * np.eye(3)
-    turn[SKEW] = _BELIEF.turn * np.eye(3)
+    if what == "turn":
+        instrument = np.zeros((size, 3))
+        instrument[SKEW] = np.eye(3)
+    else:
+        instrument = np.zeros((size, 12))
+        instrument[_IRON, :9] = float(np.cbrt(abs(np.linalg.det(unvech(soft_iron))))) * np.eye(9)
+        # What is not symmetric of a soft iron turns the field.
+        instrument[SKEW, 9:] = np.sqrt(0.5) * np.eye(3)
+    changed = _change(fit, chain, past, first, share * instrument, what)
+    if changed is None or changed.evidence + np.log(_ODDS[what]) < _BELIEF.unlikely:
+        return []
     place = np.zeros((size, 3))
     place[:6, 0] = soft_iron  # the strength of the field
     place[WITH_SKEW:, 1:] = np.eye(2)  # its direction
-    every = [("iron", iron), ("place", share * place)]
-    every += [("turn", turn), ("place", _BELIEF.turn * place)] if broken else []
-    found = [_change(fit, chain, past, first, columns, what) for what, columns in every]
-    return [change for change in found if change is not None]
+    rival = _change(fit, chain, past, first, share * place, "place")
+    return [changed] if rival is None else [changed, rival]
 
 
 def _change(
