@@ -248,6 +248,7 @@ def _form_head_and_tail(online: SmootherState, fit: Fit, samples: Preintegration
     if (samples.length, samples.turn) != (buffer.length, buffer.turn):
         buffer.cut_windows(samples.length, samples.turn)
         belief.done = int(buffer.numbers[len(samples.magnetometer_time) - 1])
+        belief.misfit_from = None  # the windows have other numbers
     belief.origin = np.append(fit.chain.windows.bias, fit.chain.windows.delay)
     numbers = online.numbers()
     first = max(len(numbers) - tail, 2)

@@ -122,7 +122,7 @@ class OnlineSmoother:
     def _restarted(self) -> bool:
         """Restart if the windows since most do not fit are many, and fit by themselves; return whether it restarted."""
         online, belief = self._online, self._online.belief
-        if belief.misfit_from is None or not online.settings.detect_changes:
+        if belief.misfit_from is None or belief.front is not None or not online.settings.detect_changes:
             return False
         count = len(online.numbers(belief.misfit_from))
         if count < belief.next_restart:
