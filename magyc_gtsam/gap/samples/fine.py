@@ -19,7 +19,6 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, qu
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
-_MOST = 60000  # samples
 NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))  # nats
 
 
@@ -65,11 +64,7 @@ def fine_innovations(recording: Recording, model: Model) -> Fine:
 
 
 def fine_twin(recording: Recording, model: Model) -> Twin:
-    """Return the twin with one window per magnetometer sample; of the middle `_MOST` samples of a longer recording."""
-    if len(recording.magnetometer.time) > _MOST:
-        middle = 0.5 * (recording.time[0] + recording.time[-1]) - recording.time[0]
-        half = 0.5 * recording.duration * _MOST / len(recording.magnetometer.time)
-        recording = recording.between(middle - half, middle + half)
+    """Return the twin with one window per magnetometer sample, at a cost that grows as the number of samples."""
     return Twin.of(Problem.of(recording, preintegrate(recording, window=1e-9)), model)
 
 
