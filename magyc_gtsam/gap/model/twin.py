@@ -186,21 +186,11 @@ class Twin:
             profile: as for `of_profile`.
             reads_rate: False for a profile without the rate, which contains no gyroscope noise and has no score bias.
         """
-        at = self._rates_at_windows
+        at = self.windows
         turned = turned_by(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
         angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
         link = -cross(self.state.direction[:, None, :-1], angle.swapaxes(0, 1)).swapaxes(0, 1)
         return Columns(np.zeros_like(turned), link, self.rate_score_bias(profile) if reads_rate else None)
-
-    @cached_property
-    def _rates_at_windows(self) -> Signals:
-        """Return the gyroscope's signals, averaged over the windows."""
-        return Signals(
-            self.time,
-            rate=self.windows.rate,
-            acceleration=self.windows.acceleration,
-            channels=self.windows.channels,
-        )
 
     def on_gyroscope(self, rate: Array) -> Columns:
         """Return the regressors of rate errors (p, 3, G) rad/s."""
@@ -216,7 +206,7 @@ class Twin:
         −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would reduce the noise and so seem to fit better. Only the
         gyroscope's own noise causes this, not the other errors in the model's noise level.
         """
-        at = self._rates_at_windows
+        at = self.windows
         score_bias = np.zeros(len(profile(at)))
         to_world = np.swapaxes(self.chain.windows.rotation, 0, 1)
         rate = at.need("rate")
