@@ -43,14 +43,14 @@ def product_of(name: str) -> str | None:
 def label_of(name: str) -> str:
     """Return the name of a neighbour in words."""
     effect, _, by = name.partition("×")
-    return f"{TERMS[effect].label}, times {_WORDS[by]}"
+    return f"{TERMS[effect].label}, times {_PRODUCTS[by][0]}"
 
 
 def _columns(name: str, setting: Setting, by: str, twin: Twin) -> Columns:
-    form = FORMS[name]
+    form, times = FORMS[name], _PRODUCTS[by][1]
     if form.side == "gyroscope":
-        return twin.on_gyroscope(_PRODUCTS[by](form.columns(twin.gyroscope, setting), twin.gyroscope))
-    return Columns(_PRODUCTS[by](form.columns(twin.windows, setting), twin.windows), None)
+        return twin.on_gyroscope(times(form.columns(twin.gyroscope, setting), twin.gyroscope))
+    return Columns(times(form.columns(twin.windows, setting), twin.windows), None)
 
 
 def _normalised(signal: Array) -> Array:
@@ -88,23 +88,13 @@ def _rate(columns: Array, signals: Signals) -> Array:
     return columns * _normalised(signals.need("rate"))
 
 
-_PRODUCTS: Mapping[str, Product] = MappingProxyType(
+_PRODUCTS: Mapping[str, tuple[str, Product]] = MappingProxyType(
     {
-        "reading": _reading,
-        "gain": _gain,
-        "field": _field,
-        "speed": _speed,
-        "speed²": _speed_squared,
-        "rate": _rate,
-    }
-)
-_WORDS: Mapping[str, str] = MappingProxyType(
-    {
-        "reading": "the reading",
-        "gain": "the field, axis by axis",
-        "field": "the field",
-        "speed": "the speed of turn",
-        "speed²": "the square of the speed of turn",
-        "rate": "the rate of turn, axis by axis",
+        "reading": ("the reading", _reading),
+        "gain": ("the field, axis by axis", _gain),
+        "field": ("the field", _field),
+        "speed": ("the speed of turn", _speed),
+        "speed²": ("the square of the speed of turn", _speed_squared),
+        "rate": ("the rate of turn, axis by axis", _rate),
     }
 )

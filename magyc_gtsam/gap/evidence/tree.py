@@ -222,10 +222,10 @@ class Tree:
             least, count = max(least, option.log - PRIOR.close), count + 1
 
     def _child(self, node: Node, option: Weighed) -> Node | None:
-        term, setting = TERMS[option.name], dict(option.setting)
+        setting = dict(option.setting)
         if option.name not in node.refined:
             setting = dict(finer(option, node.fit.twin, node.beside, node.named).setting)
-        count = len(term.regressors(node.fit.twin, setting).window)
+        count = len(node.fit.twin.columns(option.name, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
         names, search = (*node.names, option.name), node.search + option.search
 
