@@ -131,7 +131,7 @@ def _gap_and_named(
         gap = nothing_tested(base, *reasons, calibration)
     else:
         first = First(ready.recording, base)
-        said = answer(ready.recording, base, short_term, names, ready.discrete, first.fine)
+        said = answer(first, short_term, names, ready.discrete)
         report(0.8)
         result = with_one_jump(named(said, first, short_term), short_term)
         result = without_samples_of_steps(ready.recording, result)

@@ -172,11 +172,14 @@ class Node:
         """Return the key of the set with one more name."""
         return tuple(sorted((*self.names, name)))
 
+    def names_without(self, name: str) -> tuple[str, ...]:
+        """Return the names with one less."""
+        at = self.names.index(name)
+        return (*self.names[:at], *self.names[at + 1 :])
+
     def key_without(self, name: str) -> tuple[str, ...]:
         """Return the key of the set with one name less."""
-        names = list(self.names)
-        names.remove(name)
-        return tuple(sorted(names))
+        return tuple(sorted(self.names_without(name)))
 
     def full(self, name: str) -> bool:
         """Return whether the set contains an effect as often as it may, or a special or a general case of it."""

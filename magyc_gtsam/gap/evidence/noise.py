@@ -9,7 +9,6 @@ import numpy as np
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.coarse import unrounded
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations, single_scores
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.samples.tones import heard, silenced
@@ -40,8 +39,3 @@ def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -
     assert score.rows is not None
     wrong = np.isin(recording.time, fine.time[score.rows])
     return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong), score
-
-
-def smoothed(given: Recording, model: Model, score: NoiseScore, fine: Fine) -> Recording:
-    """Return the recording without the mean rounding error of its resolution; `fine`: innovations of the model."""
-    return unrounded(given, model, float(score.value[0]), fine.level)
