@@ -57,15 +57,9 @@ def _normalised(signal: Array) -> Array:
     return signal / max(float(np.sqrt((signal**2).mean())), 1e-12)
 
 
-def _reading(columns: Array, signals: Signals) -> Array:
-    """Multiply by a gain of each axis on the sensor's reading, which includes the hard iron."""
-    reading = signals.need("field") + signals.need("hard_iron")[:, None]
-    return columns * reading / np.sqrt((reading**2).mean())
-
-
-def _gain(columns: Array, signals: Signals) -> Array:
-    """Multiply by a gain of each axis on the field."""
-    return columns * _normalised(signals.need("field"))
+def _times(signal: Callable[[Signals], Array]) -> Product:
+    """Return the product with a signal of all axes, or with that of each axis."""
+    return lambda columns, signals: columns * _normalised(signal(signals))
 
 
 def _field(columns: Array, signals: Signals) -> Array:
@@ -75,26 +69,15 @@ def _field(columns: Array, signals: Signals) -> Array:
     return result
 
 
-def _speed(columns: Array, signals: Signals) -> Array:
-    return columns * _normalised(np.linalg.norm(signals.need("rate"), axis=0))
-
-
-def _speed_squared(columns: Array, signals: Signals) -> Array:
-    return columns * _normalised((signals.need("rate") ** 2).sum(axis=0))
-
-
-def _rate(columns: Array, signals: Signals) -> Array:
-    """Multiply by a scale factor of each axis of the gyroscope."""
-    return columns * _normalised(signals.need("rate"))
-
-
 _PRODUCTS: Mapping[str, tuple[str, Product]] = MappingProxyType(
     {
-        "reading": ("the reading", _reading),
-        "gain": ("the field, axis by axis", _gain),
+        # A gain of each axis acts on the sensor's reading, which includes the hard iron, or on the field.
+        "reading": ("the reading", _times(lambda s: s.need("field") + s.need("hard_iron")[:, None])),
+        "gain": ("the field, axis by axis", _times(lambda s: s.need("field"))),
         "field": ("the field", _field),
-        "speed": ("the speed of turn", _speed),
-        "speed²": ("the square of the speed of turn", _speed_squared),
-        "rate": ("the rate of turn, axis by axis", _rate),
+        "speed": ("the speed of turn", _times(lambda s: np.linalg.norm(s.need("rate"), axis=0))),
+        "speed²": ("the square of the speed of turn", _times(lambda s: (s.need("rate") ** 2).sum(axis=0))),
+        # As a scale factor of each axis of the gyroscope.
+        "rate": ("the rate of turn, axis by axis", _times(lambda s: s.need("rate"))),
     }
 )
