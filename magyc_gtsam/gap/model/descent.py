@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,20 +25,15 @@ _FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear te
 _ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
 
 
-class Descent(NamedTuple):
-    """A twin at its minimum, the covariance (q, q) there, and whether the last step was small."""
-
-    twin: Twin
-    covariance: Array
-    converged: bool
-
-
-def descended(twin: Twin, farthest: float = np.inf) -> Descent:
+def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
     """Minimise the cost of a twin over its free parameters and terms.
 
     Args:
         twin: where to start.
         farthest: prior standard deviations of a term's value from which the fit is given up.
+
+    Returns:
+        The twin at its minimum, the covariance (q, q) there, and whether the last step was small.
 
     Raises:
         MagycError: a term with an unbounded effect on the readings, or a value beyond `farthest`.
@@ -58,13 +52,13 @@ def descended(twin: Twin, farthest: float = np.inf) -> Descent:
         covariance = _inverse(information)
         step = -covariance @ gradient
         if float(step @ information @ step) < _SETTLED * misfit:
-            return Descent(twin, covariance, True)
+            return twin, covariance, True
         path = [*path[-_REMEMBERED:], (_values_of(twin.model), step)]
         ahead = _advance(twin, _steps(path, information, gradient), _ROUNDING * misfit)
         if ahead is None:
             break
         twin = ahead
-    return Descent(twin, covariance, False)
+    return twin, covariance, False
 
 
 def _steps(path: Sequence[tuple[Array, Array]], information: Array, gradient: Array) -> Iterator[Array]:
