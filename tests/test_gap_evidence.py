@@ -25,6 +25,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.samples.fine import First
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60
@@ -39,7 +40,7 @@ def normal(residual: np.ndarray, columns: np.ndarray, variance: np.ndarray, nois
 def stated_of(recording: mg.Recording) -> Mapping[str, float]:
     """What is said of a recording, by the evidence alone."""
     noise = short_term_noise(recording)
-    return marginals(answer(recording, base_model(recording, None, noise), noise, NAMES).posterior)
+    return marginals(answer(First(recording, base_model(recording, None, noise)), noise, NAMES).posterior)
 
 
 @pytest.mark.parametrize("noise", [1.0, 1.7])
@@ -260,7 +261,7 @@ def test_a_second_step_is_no_form_of_the_first() -> None:
     stepped = replace(recording, magnetic_field=field)
     noise = short_term_noise(stepped)
     names = ("hard-iron-step", "timing", "misalignment")
-    tree = answer(stepped, base_model(stepped, None, noise), noise, names).tree
+    tree = answer(First(stepped, base_model(stepped, None, noise)), noise, names).tree
     best = tree.best
     terms, place_of = best.fit.model.terms, stepped.time[0]
     strong, weak = (

@@ -159,6 +159,18 @@ def test_what_cannot_be_compared_is_said(late: list[mg.Recording]) -> None:
     assert find_gap_of_many(late[:1], ("timing",)).effects == ()
 
 
+def test_logs_that_say_nothing_alone_are_left_out() -> None:
+    """By the check of one log: what they lack would be named as an effect of the instrument."""
+    still = mg.simulate((2, 2, 10), 60, seed=1).recording
+    silent = mg.simulate("wide", 60, seed=2, magnetometer_noise=0.0).recording
+    gap = mg.find_gap([still, silent])
+    assert gap.verdict == "not enough information"
+    assert gap.calibrations == {}
+    words = [mg.find_gap(log, candidates=["timing"]).sentence for log in (still, silent)]
+    assert [f"not enough information: {own.sentence}; nothing was tested" for own in gap.own] == words
+    assert ["too little motion" in words[0], "no measurable noise" in words[1]] == [True, True]
+
+
 def test_a_weaker_effect_beside_a_strong_one_is_named() -> None:
     """A delay has a small part of the evidence of a strong current, but is no rival of it."""
     effects = [("motor-current", 4.0), "timing"]

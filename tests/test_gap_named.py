@@ -35,7 +35,8 @@ def looked() -> Looked:
     recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
     noise = short_term_noise(recording)
     base = base_model(recording, None, noise)
-    return First(recording, base), answer(recording, base, noise, NAMES), noise
+    first = First(recording, base)
+    return first, answer(first, noise, NAMES), noise
 
 
 def gap_by(looked: Looked, posterior: Mapping[Set, float]) -> mg.Gap:

@@ -13,11 +13,24 @@ from scipy.signal import lfilter
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
+from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS, SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.samples.fine import NOISE_LIMIT
+from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.samples.fine import NOISE_LIMIT, fine_innovations
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 
 _SAMPLES = 4000
+
+
+def model_of(truth: mg.Calibration) -> Model:
+    """The model of a simulation, with the noise of its sensors."""
+    assert truth.field_strength is not None
+    assert truth.gyro_bias is not None
+    soft_iron = vech(truth.soft_iron * truth.field_strength)
+    noise = SensorNoise(truth.noise["magnetic_field"], truth.noise["angular_rate"])
+    parameters = np.concatenate([soft_iron, truth.hard_iron, truth.gyro_bias, [0.0]])
+    return Model(parameters, np.arange(PARAMETERS) < DELAY, noise)
 
 
 def _white(random: np.random.Generator) -> Array:
@@ -95,6 +108,18 @@ def test_what_comes_in_stretches_is_a_disturbance() -> None:
     found = spikes(v, 1.0, NOISE_LIMIT)
     assert found.evidence > 10 * NOISE_LIMIT
     assert not found.significant
+
+
+def test_wrong_samples_are_seen_in_all_of_a_long_log() -> None:
+    """However many samples there are, those at both ends are among the innovations."""
+    simulation = mg.simulate("wide", 610, rate=100, seed=7)
+    recording = simulation.recording
+    field, wrong = recording.magnetic_field.copy(), [20, 30000, 60980]
+    field[wrong] += 20e-6
+    fine = fine_innovations(replace(recording, magnetic_field=field), model_of(simulation.truth))
+    assert len(fine.time) == len(recording.time) - 1  # the first is predicted by none
+    height = np.linalg.norm(fine.innovation, axis=0)
+    np.testing.assert_array_equal(fine.time[height > 10], recording.time[wrong])
 
 
 @pytest.mark.real

@@ -100,9 +100,8 @@ def test_a_fault_of_a_sensor_has_one_detector() -> None:
     assert called["SensorFaults"] == {"online/calibrator.py"}
     assert called["without_faults"] == {
         "estimators/__init__.py",
-        "gap/find.py",
+        "gap/prepared.py",
         "gap/validation.py",
-        "gap/many/one_log.py",
     }
 
 

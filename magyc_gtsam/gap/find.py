@@ -9,36 +9,24 @@ from typing import overload
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import on_recording
-from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
-from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
-from magyc_gtsam.gap.model.refit import Refit, widened
+from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.naming.named import Named, named
 from magyc_gtsam.gap.naming.steps import with_one_jump, without_samples_of_steps
-from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.doubt import with_clipped
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
-from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
-from magyc_gtsam.gap.preparation.discrete import noiseless, settled
-from magyc_gtsam.gap.result import Doubt, Gap
-from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.prepared import Prepared
+from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.samples.fine import First
-from magyc_gtsam.gap.samples.tones import silenced
 from magyc_gtsam.gap.simulated import SimulatedGap, compare
-from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
-from magyc_gtsam.sensor_faults.usable import without_faults
-
-_ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
-_SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
 
 
 @overload
@@ -134,42 +122,24 @@ def _gap_and_named(
 ) -> tuple[Gap, Named | None]:
     """Return the gap of one recording, and what is named; None if there is not enough information to name anything."""
     started = clock.perf_counter()
-    needs_gyroscope(recording)
-    usable = without_faults(recording)
-    recording, unlogged = without_channel_holes(usable.recording)
-    recording, discrete = settled(recording, names)
-    tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
-    recording = silenced(recording, tones)
-    short_term = short_term_noise(recording)
-    base = base_model(recording, calibration, short_term)
+    ready = Prepared.of(recording, names, calibration)
+    base, short_term = ready.base, ready.short_term
     report(0.2)
-    reasons = _untestable(recording, base, short_term)
+    reasons = ready.untestable()
     result: Named | None = None
     if reasons is not None:
         gap = nothing_tested(base, *reasons, calibration)
     else:
-        first = First(recording, base)
-        said = answer(recording, base, short_term, names, discrete, first.fine)
+        first = First(ready.recording, base)
+        said = answer(first, short_term, names, ready.discrete)
         report(0.8)
         result = with_one_jump(named(said, first, short_term), short_term)
-        result = without_samples_of_steps(recording, result)
-        gap = gap_of(result, short_term, calibration, names, discrete)
-    gap = with_clipped(gap, usable.clipped)
-    run = {"seconds": clock.perf_counter() - started, "left_out": [*usable.left_out, *unlogged]}
+        result = without_samples_of_steps(ready.recording, result)
+        gap = gap_of(result, short_term, calibration, names, ready.discrete)
+    gap = with_clipped(gap, ready.usable.clipped)
+    left_out = [*ready.usable.left_out, *ready.left_out]
+    run = {"seconds": clock.perf_counter() - started, "left_out": left_out}
     return replace(gap, diagnostics={**gap.diagnostics, **run}), result
-
-
-def _untestable(recording: Recording, base: Refit, short_term: SensorNoise) -> tuple[str, Doubt] | None:
-    """Return why nothing can be tested, in full and in few words with a remedy; None if there is enough information."""
-    motion = _determined(recording, base, short_term)
-    if not motion.observable:
-        weakest = motion.weak[0]
-        doubt = Doubt(f"too little motion to determine the {weakest.what}", weakest.remedy)
-        return f"too little motion: {weakest.sentence}", doubt
-    if noiseless(recording):
-        silence = f"the magnetometer has no measurable noise (under {RULES.noiseless * 1e9:.2g} nT)"
-        return f"{silence}: {_SILENT}", Doubt(silence, _ADD_NOISE)
-    return None
 
 
 def _check_types(recording: Recording, calibration: object, simulated: Recording | None) -> None:
@@ -197,13 +167,3 @@ def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
     if unknown:
         raise MagycError(f"candidates: {', '.join(map(repr, unknown))} unknown; there are {', '.join(NAMES)}")
     return tuple(name for name in NAMES if name in candidates)
-
-
-def _determined(recording: Recording, base: Refit, short_term: SensorNoise) -> Observability:
-    """Return what the motion determines at the sensors' own noise, to which the misfit of an effect does not add."""
-    fitted = as_calibration(replace(base, converged=False), None)  # not yet to be trusted, whatever its values
-    assert fitted.covariance is not None
-    assert fitted.field_strength is not None
-    share = min(1.0, (short_term.magnetometer / base.model.noise.magnetometer) ** 2)
-    covariance = share * fitted.covariance
-    return assess(covariance, fitted.soft_iron, fitted.field_strength, recording, fitted.hard_iron)

@@ -21,7 +21,7 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates
 from magyc_gtsam.gap.evidence.detectable import ENOUGH, found_from
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale
+from magyc_gtsam.gap.evidence.weighing import Weighed, information_of, nats_by_scale, weigh
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.result import Isolability
@@ -45,11 +45,11 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
     """
     noise = short_term_noise(recording)
     twin = base_model(recording, None, noise).twin
-    trials = _Trials.of(Candidates.of(twin, tuple(TERMS), ()), Beside.of_model(twin))
+    candidates, beside = Candidates.of(twin, tuple(TERMS), ()), Beside.of_model(twin)
+    trials, weighed = _Trials.of(candidates, beside), weigh(candidates, beside)
     random = np.random.default_rng(0)
-    tested = {name for batch in trials.candidates.batches for name in batch.names}
     terms = tuple(
-        _row(term, trials, twin, random) if name in tested else _absent(term, term.missing(twin))
+        _row(term, trials, weighed[name], twin, random) if name in weighed else _absent(term, term.missing(twin))
         for name, term in TERMS.items()
     )
     return (*terms, *noise_isolability(recording, noise.magnetometer))
@@ -76,20 +76,6 @@ class _Trials(NamedTuple):
         every = (np.linalg.eigh(information_of(batch, beside.noise, reach)) for batch in candidates.batches)
         return cls(candidates, beside, reach, [(np.maximum(value, 0.0), vector) for value, vector in every])
 
-    def places(self, name: str) -> list[tuple[int, int]]:
-        """Return the batch of each setting of an effect, and its place in it."""
-        return [
-            (k, i)
-            for k, batch in enumerate(self.candidates.batches)
-            for i, n in enumerate(batch.names)
-            if n == name
-        ]
-
-    def everywhere(self, name: str) -> list[tuple[float, Array]]:
-        """Return the log prior of each setting of an effect, and the information of its values there."""
-        spectra = ((float(self.candidates.batches[k].prior[i]), *self.spectra[k], i) for k, i in self.places(name))
-        return [(prior, (vector[i] * value[i]) @ vector[i].T) for prior, value, vector, i in spectra]
-
     def weighed(self, innovations: Array) -> dict[str, Array]:
         """Return {name: nats (trials,)} of innovations (trials, 3n)."""
         seen = self.beside.see(innovations, np.zeros(len(innovations))).reach
@@ -103,15 +89,21 @@ class _Trials(NamedTuple):
         return result
 
 
-def _row(term: EffectTerm, trials: _Trials, twin: Twin, random: np.random.Generator) -> Isolability:
-    batches = trials.candidates.batches
-    places = ((batches[k].rows[i], batches[k].settings[i]) for k, i in trials.places(term.name))
-    ordered = sorted(places, key=lambda one: one[0][0])  # as in the effect's grid
+def _row(
+    term: EffectTerm, trials: _Trials, weighed: Weighed, twin: Twin, random: np.random.Generator
+) -> Isolability:
+    every = (
+        (b.rows[i], b.settings[i])
+        for b in trials.candidates.batches
+        for i, n in enumerate(b.names)
+        if n == term.name
+    )
+    ordered = sorted(every, key=lambda one: one[0][0])  # as in the effect's grid
     rows, setting = ordered[len(ordered) // 2]
     columns, reach = trials.candidates.columns[rows], trials.reach[rows]
     gram = columns @ columns.T
     left = np.maximum(np.diag(gram - reach @ reach.T), 0.0) / np.maximum(np.diag(gram), 1e-300)
-    smallest = found_from(term.name, trials.everywhere(term.name), RULES.found_with)
+    smallest = found_from(term.name, weighed.everywhere, RULES.found_with)
     confused: dict[str, float] = {}
     if np.isfinite(smallest):
         values = random.standard_normal((_TRIALS, len(rows)))

@@ -104,14 +104,20 @@ class Fit(Minimum):
         return max(_sum_of_correlations(residual) for residual in self.whitened)
 
 
-def inverse_information(information: Array, free: np.ndarray) -> Array:
-    """Return the covariance (p, p); zeros for fixed parameters, very large or infinite where it is undetermined."""
+def inverse_information(information: Array, free: np.ndarray, least: float = 1e-15) -> Array:
+    """Return the covariance (p, p) of parameters in any units; zeros for fixed ones, very large where undetermined.
+
+    Args:
+        information: (p, p).
+        free: (p,) bool.
+        least: share of each parameter's information below which a direction counts as having that share.
+    """
     result = np.zeros(information.shape)
     kept = np.ix_(free, free)
     information = information[kept]
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     value, vector = np.linalg.eigh(information * scale * scale[:, None])
-    value = np.maximum(value, 1e-15)
+    value = np.maximum(value, least)
     result[kept] = (vector / value) @ vector.T * scale * scale[:, None]
     return result
 

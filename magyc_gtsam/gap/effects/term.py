@@ -1,7 +1,7 @@
 """`EffectTerm`: one interface for every effect that adds to a sensor's reading.
 
-The evidence uses its `regressors`, the joint refit its `prior`. The formulas are those of
-`factors.effects`, so that the effect that was tested is the one that is applied.
+The joint refit uses its `prior`. The formulas are those of `factors.effects`, so that the effect that was tested is the
+one that is applied.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting, beyond_reference, referenced
 from magyc_gtsam.factors.effects.forms import FORMS, Form
 from magyc_gtsam.factors.effects.signals import CHANNELS, rows_by_kind
-from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 Settings = Callable[[Twin], list[dict[str, float]]]
@@ -115,13 +115,6 @@ class EffectTerm:
             return np.ones(1)
         spread = (beyond_reference(twin.windows.need(self.kind), setting) ** self.power).std(axis=1)
         return np.repeat(np.where(spread > 0, spread, 1.0), len(self.parameters))
-
-    def regressors(self, twin: Twin, setting: Setting) -> Columns:
-        """Return the columns per unit of value, on windows and links."""
-        if self.side == "gyroscope" and "rate" not in self.form.needs:
-            # Without the rate in its form it contains no gyroscope noise, and its score has no bias.
-            return twin.on_gyroscope(self.form.columns(twin.gyroscope, setting))
-        return twin.columns(self.name, setting)
 
     def rows(self, twin: Twin, setting: Setting) -> tuple[str, ...]:
         """Return the names of the rows of its channel; empty without a channel."""

@@ -12,7 +12,7 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.node import Node
-from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, smoothed, without
+from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, without
 from magyc_gtsam.gap.evidence.posterior import (
     Set,
     SetWeight,
@@ -25,9 +25,10 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.problem import Model, Problem
-from magyc_gtsam.gap.model.refit import Refit, refit
+from magyc_gtsam.gap.model.refit import refit
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
+from magyc_gtsam.gap.samples.coarse import unrounded
+from magyc_gtsam.gap.samples.fine import First, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation
 from magyc_gtsam.recording import Recording
 
@@ -53,27 +54,31 @@ class Answer:
 
 
 def answer(
-    recording: Recording,
-    base: Refit,
-    short_term: SensorNoise,
-    names: Sequence[str],
-    settled: Sequence[NoiseScore] = (),
-    fine: Fine | None = None,
+    first: First, short_term: SensorNoise, names: Sequence[str], settled: Sequence[NoiseScore] = ()
 ) -> Answer:
-    """Return the posterior of a recording from its fitted base model; `fine`: innovations of that model, if known."""
+    """Return the posterior of a recording, from its model without effects.
+
+    Args:
+        first: that model, with the terms of a given calibration.
+        short_term: noise of the sensors between neighbouring samples.
+        names: candidates.
+        settled: tests of the effects that were corrected before.
+    """
     allowed = tuple(name for name in names if name in TERMS or name == COLOUR)
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
-    given, problem, model = recording, base.twin.problem, base.model
+    given, base = first.recording, first.refit
+    recording, problem, model = given, base.twin.problem, base.model
     level = short_term
     left_out: list[NoiseScore] = []
-    fine = fine or fine_innovations(given, model)
+    fine = first.fine
     coarse = quantisation(given, fine.white)
+    step = float(coarse.value[0])
     stepped = coarse.significant and coarse.name in names
     if stepped:  # certain, and it would be taken for a non-linear reading
         said[coarse.name] = PRIOR.certain
         # Steps wider than the noise hide it in the differences of successive samples.
         level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.white))
-        recording = smoothed(given, model, coarse, fine)
+        recording = unrounded(given, model, step, fine.level)
         problem = problem_of(recording)
     tree: Tree | None = None
     for turn in range(_ROUNDS):
@@ -81,7 +86,7 @@ def answer(
         tree = Tree(start, allowed, base.model.terms, tree)
         before, model = recording, tree.best.fit.model
         if stepped and not turn:  # once more, with a better model
-            recording = smoothed(given, model, coarse, fine_innovations(given, model))
+            recording = unrounded(given, model, step, fine_innovations(given, model).level)
             problem = problem_of(recording)
         fine, found = singles_of(recording, model)
         for name in ("spikes", *("tone",) * _LINES):
@@ -89,7 +94,7 @@ def answer(
             odds = log_odds(score)
             form = name == "spikes" and score.statistic < PRIOR.form_of_field * tree.best.of_field
             # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
-            rounded = stepped and name == "spikes" and score.value[0] < coarse.value[0]
+            rounded = stepped and name == "spikes" and score.value[0] < step
             known_too = known > 0 and name != "tone"
             if name not in names or known_too or odds < PRIOR.hardly_single or form or rounded:
                 continue

@@ -68,14 +68,18 @@ class Beside:
         return cls(noise, len(rows), len(flat), rows, unit, residual / noise, lower, inner, solved)
 
     @classmethod
+    def of_varying(
+        cls, residual: Array, flat: Array, score_bias: Array, variation: FieldVariation | None
+    ) -> Beside:
+        """Marginalise columns without a prior (q, 3n), of score bias (q,), and a variation of the field."""
+        components, noise = (flat[:0], 1.0) if variation is None else (variation.components, variation.noise)
+        variance, none = np.full(len(components), noise**2), np.zeros(len(components))
+        return cls.of(residual, flat, components, variance, np.concatenate([score_bias, none]), noise)
+
+    @classmethod
     def of_model(cls, twin: Twin, variation: FieldVariation | None = None) -> Beside:
         """Marginalise the parameters and terms of a model, none with a prior, and a variation of the field."""
-        rows = twin.base_columns
-        components = rows[:0] if variation is None else variation.components
-        noise = 1.0 if variation is None else variation.noise
-        score_bias = np.concatenate([twin.base_score_bias, np.zeros(len(components))])
-        variance = np.full(len(components), noise**2)
-        return cls.of(twin.residual().ravel(), rows, components, variance, score_bias, noise)
+        return cls.of_varying(twin.residual().ravel(), twin.base_columns, twin.base_score_bias, variation)
 
     def with_effects(self, columns: Array, variance: Array, score_bias: Array) -> Beside:
         """Marginalise the columns (k, 3n) of effects, with variances (k,) and score bias (k,), too."""

@@ -139,7 +139,7 @@ def with_each_drift(model: Model, twin: Twin) -> tuple[list[Model], int]:
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:
     """Return the columns of an effect at some settings, which are equally probable."""
-    made = [TERMS[name].regressors(twin, setting) for setting in settings]
+    made = [twin.columns(name, setting) for setting in settings]
     ends = np.cumsum([len(part.window) for part in made])
     places = np.split(np.arange(ends[-1]), ends[:-1])
     unit = np.concatenate(

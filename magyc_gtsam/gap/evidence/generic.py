@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.rules import RULES
 
+Profiles = Callable[[Signals], Array]
 _KNOTS = (12, 40)  # numbers of knots of the linear splines in time
 
 
@@ -42,88 +44,74 @@ def families(twin: Twin) -> list[Family]:
     for knots in _KNOTS:
         if duration < knots * RULES.knots_apart:
             continue
+        hats = partial(_hats, knots=knots)
         result += [
-            Family(
-                f"time:sensor-{knots}",
-                "time in the sensor's axes",
-                _on_field(partial(_hats_of, knots=knots)),
-            ),
+            Family(f"time:sensor-{knots}", "time in the sensor's axes", _on_field(hats)),
             Family(f"time:world-{knots}", "time in the world's axes", partial(_in_world, knots=knots)),
-            Family(
-                f"time:gyroscope-{knots}",
-                "time on the gyroscope",
-                _on_rate(partial(_hats_of, knots=knots), False),
-            ),
+            Family(f"time:gyroscope-{knots}", "time on the gyroscope", _on_rate(hats, False)),
         ]
     attitude = "the direction of the field (attitude)"
     result += [
-        Family("field:quadratic", attitude, _on_field(lambda t: _powers(_unit(t), 2, 2)), (3, 1)),
-        Family("field:cubic", attitude, _on_field(lambda t: _powers(_unit(t), 2, 3))),
+        Family("field:quadratic", attitude, _on_field(lambda s: _powers(_unit(s), 2, 2)), (3, 1)),
+        Family("field:cubic", attitude, _on_field(lambda s: _powers(_unit(s), 2, 3))),
         Family("rate:magnetometer", "the rate of turn on the magnetometer", _on_field(_rate_powers)),
         Family("rate:product", "the rate of turn on the magnetometer", _on_field(_rate_products), (3, 1)),
         Family("rate×field", "rate of turn times field", _on_field(_rate_times_field)),
         Family("lag", "a lag that depends on the rate of turn", _uneven_lag, (3, 1)),
         Family("rate:linear", "the rate of turn on the gyroscope", _on_rate(lambda s: s.need("rate"))),
         Family("rate:quadratic", "the rate of turn on the gyroscope", _on_rate(_bent_rate)),
-        Family("rate:gyroscope", "products of rates of turn on the gyroscope", _on_rate(_rate_squares), (3, 1)),
-        Family("field:gyroscope", "attitude on the gyroscope", _field_on_rate, (3,)),
+        Family("rate:gyroscope", "products of rates of turn on the gyroscope", _on_rate(_rate_products), (3, 1)),
+        Family(
+            "field:gyroscope",
+            "attitude on the gyroscope",
+            _on_rate(lambda s: _powers(_unit(s), 1, 2), False),
+            (3,),
+        ),
     ]
     if twin.windows.acceleration is not None:
         result += [
-            Family("tilt:magnetometer", "pitch and roll", _on_field(lambda t: _tilts(t.windows)), (3, 1)),
+            Family("tilt:magnetometer", "pitch and roll", _on_field(_tilts), (3, 1)),
             Family("tilt:gyroscope", "pitch and roll on the gyroscope", _on_rate(_tilts, False)),
             Family("tilt:products", "pitch and roll on the gyroscope", _on_rate(_tilt_products, False), (3, 1)),
         ]
     for kind in twin.windows.channels:
-        where = f"the channel {kind}"
+        where, channel = f"the channel {kind}", partial(_channel, kind=kind)
         result += [
-            Family(f"{kind}:magnetometer", where, _on_field(partial(_channel_of, kind=kind))),
-            Family(
-                f"{kind}:gyroscope", f"{where} on the gyroscope", _on_rate(partial(_channel, kind=kind), False)
-            ),
+            Family(f"{kind}:magnetometer", where, _on_field(channel)),
+            Family(f"{kind}:gyroscope", f"{where} on the gyroscope", _on_rate(channel, False)),
         ]
         if kind != "position":  # position times field is the gradient of the field
-            result.append(Family(f"{kind}×field", f"{where} times the field", _channel_field(kind), (1, 3)))
+            columns = partial(_channel_field, kind=kind)
+            result.append(Family(f"{kind}×field", f"{where} times the field", columns, (1, 3)))
     return result
 
 
-def _on_field(profiles: Callable[[Twin], Array]) -> Callable[[Twin], Columns]:
-    return lambda twin: Columns(per_axis(profiles(twin)), None)
+def _on_field(profiles: Profiles) -> Callable[[Twin], Columns]:
+    return lambda twin: Columns(per_axis(profiles(twin.windows)), None)
 
 
-def _on_rate(profiles: Callable[..., Array], reads_rate: bool = True) -> Callable[[Twin], Columns]:
+def _on_rate(profiles: Profiles, reads_rate: bool = True) -> Callable[[Twin], Columns]:
     return lambda twin: twin.of_slow_profile(lambda signals: per_axis(profiles(signals)), reads_rate)
 
 
-def _hats(time: Array, knots: int) -> Array:
-    """Return linear splines (knots, n)."""
+def _hats(signals: Signals, knots: int) -> Array:
+    """Return linear splines in time (knots, n)."""
+    time = signals.time
     place = (time - time[0]) / (time[-1] - time[0]) * (knots - 1)
     return np.maximum(1 - np.abs(place - np.arange(knots)[:, None]), 0.0)
-
-
-def _hats_of(signals: Signals | Twin, knots: int) -> Array:
-    return _hats(signals.time, knots)
-
-
-def _channel_of(twin: Twin, kind: str) -> Array:
-    return _channel(twin.windows, kind)
 
 
 def _in_world(twin: Twin, knots: int) -> Columns:
     """Return splines in the world frame without their mean, which is the field itself and only weakens the links."""
     axes = np.swapaxes(twin.windows.need("to_sensor"), 0, 1)
-    hats = _hats(twin.time, knots)
+    hats = _hats(twin.windows, knots)
     hats -= hats.mean(axis=1)[:, None]
     return Columns((hats[1:, None, None] * axes).reshape(3 * knots - 3, 3, -1), None)
 
 
-def _unit(twin: Twin) -> Array:
-    field = twin.windows.need("field")
+def _unit(signals: Signals) -> Array:
+    field = signals.need("field")
     return field / np.sqrt((field**2).sum(axis=0).mean())
-
-
-def _tilt(signals: Signals) -> Array:
-    return signals.need("acceleration") / STANDARD_GRAVITY
 
 
 def _powers(vector: Array, least: int, most: int, bent: bool = False) -> Array:
@@ -140,11 +128,11 @@ def _powers(vector: Array, least: int, most: int, bent: bool = False) -> Array:
     return np.array(terms)
 
 
-def _rate_products(twin: Twin) -> Array:
-    return _powers(twin.windows.need("rate"), 2, 2)
+def _rate_powers(signals: Signals) -> Array:
+    return _powers(signals.need("rate"), 1, 2, bent=True)
 
 
-def _rate_squares(signals: Signals) -> Array:
+def _rate_products(signals: Signals) -> Array:
     return _powers(signals.need("rate"), 2, 2)
 
 
@@ -152,7 +140,11 @@ def _bent_rate(signals: Signals) -> Array:
     """Return the monomials in units of the mean rate, so that their values are shares of it."""
     rate = signals.need("rate")
     mean = max(float(np.sqrt((rate**2).sum(axis=0).mean())), 1e-9)
-    return mean * _powers(rate / mean, 1, 2, bent=True)
+    return mean * _rate_powers(replace(signals, rate=rate / mean))
+
+
+def _rate_times_field(signals: Signals) -> Array:
+    return np.einsum("in,jn->ijn", signals.need("rate"), _unit(signals)).reshape(9, -1)
 
 
 def _uneven_lag(twin: Twin) -> Columns:
@@ -165,46 +157,27 @@ def _uneven_lag(twin: Twin) -> Columns:
     return Columns(np.concatenate([*columns, np.stack(profiles)]), None)
 
 
-def _channel_field(kind: str) -> Callable[[Twin], Columns]:
-    """Return the columns of the field times the channel, then of each component of the field times the channel."""
-
-    def columns(twin: Twin) -> Columns:
-        value = _moving(twin.windows, kind)
-        unit = _unit(twin)
-        scaled = value[:, None] * unit
-        each = np.eye(3)[:, :, None] * unit
-        return Columns(np.concatenate([scaled, *(each * row for row in value)]), None)
-
-    return columns
-
-
 def _tilts(signals: Signals) -> Array:
     """Return the tilt, its products, and its sign relative to the mean."""
-    tilt = _tilt(signals)
+    tilt = signals.need("acceleration") / STANDARD_GRAVITY
     lean = np.tanh(10 * (tilt - tilt.mean(axis=1)[:, None]))
     return np.concatenate([_powers(tilt, 1, 2), lean])
 
 
 def _tilt_products(signals: Signals) -> Array:
-    return np.concatenate([_powers(_tilt(signals), 2, 2), _tilts(signals)[-3:]])
-
-
-def _rate_powers(twin: Twin) -> Array:
-    return _powers(twin.windows.need("rate"), 1, 2, bent=True)
-
-
-def _rate_times_field(twin: Twin) -> Array:
-    return np.einsum("in,jn->ijn", twin.windows.need("rate"), _unit(twin)).reshape(9, -1)
-
-
-def _field_on_rate(twin: Twin) -> Columns:
-    columns = per_axis(_powers(_unit(twin), 1, 2))
-    return twin.of_slow_profile(lambda signals: columns, reads_rate=False)
+    return _tilts(signals)[3:]  # without the tilt itself
 
 
 def _channel(signals: Signals, kind: str) -> Array:
     value = _moving(signals, kind)
     return np.concatenate([value, value**2])
+
+
+def _channel_field(twin: Twin, kind: str) -> Columns:
+    """Return the columns of the field times the channel, then of each component of the field times the channel."""
+    value, unit = _moving(twin.windows, kind), _unit(twin.windows)
+    each = np.eye(3)[:, :, None] * unit
+    return Columns(np.concatenate([value[:, None] * unit, *(each * row for row in value)]), None)
 
 
 def _moving(signals: Signals, kind: str) -> Array:

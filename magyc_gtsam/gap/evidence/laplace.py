@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import what_matters
@@ -40,11 +39,7 @@ class Terms:
 
     def beside(self, variation: FieldVariation | None) -> Beside:
         """Marginalise the parameters and the field's variation."""
-        noise = 1.0 if variation is None else variation.noise
-        components = self.columns[:0] if variation is None else variation.components
-        score_bias = np.zeros(len(self.base) + len(components))
-        variance = np.full(len(components), noise**2)
-        return Beside.of(self.residual, self.base, components, variance, score_bias, noise)
+        return Beside.of_varying(self.residual, self.base, np.zeros(len(self.base)), variation)
 
     def added_to(self, rest: Beside, scale: Array, without: int | None = None) -> Beside:
         """Marginalise the terms, of scales (t,), beside the rest; all of them, or all but one."""
@@ -53,29 +48,20 @@ class Terms:
 
     @classmethod
     def of(cls, fit: Refit) -> Terms:
-        twin, model = fit.twin, fit.model
-        rows, score_biases = twin.base_columns, twin.base_score_bias
-        free = int(model.free.sum())
-        own, unit, value, of_term = [], [], [], []
-        first = free
-        for index, term in enumerate(model.terms):
-            if term.name == "timing":
-                places = np.flatnonzero(np.flatnonzero(model.free) == DELAY)
-            else:
-                places = np.arange(first, first + len(term.value))
-                first += len(term.value)
-            own.append(places)
-            unit.append(what_matters(twin, term.name, term.setting, len(places)))
-            value.append(fit.value_of(index)[0])
-            of_term.append(np.full(len(places), index))
-        residual = twin.residual().ravel()
-        if not own:
-            return cls(rows, np.zeros((0, len(residual))), np.zeros(0), np.zeros(0, dtype=int), residual)
-        places, scale = np.concatenate(own), np.concatenate(unit)
-        columns = rows[places] * scale[:, None]
-        residual = residual - (np.concatenate(value) / scale) @ columns
-        base = np.delete(rows, places, axis=0)
-        return cls(base, columns, score_biases[places] * scale, np.concatenate(of_term), residual)
+        twin, terms = fit.twin, fit.model.terms
+        rows, none = [fit.rows_of(index) for index in range(len(terms))], np.zeros(0)
+        places = np.concatenate([none.astype(int), *rows])
+        units = [what_matters(twin, t.name, t.setting, len(own)) for t, own in zip(terms, rows, strict=True)]
+        unit = np.concatenate([none, *units])
+        value = np.concatenate([none, *(fit.value_of(index)[0] for index in range(len(terms)))])
+        columns = twin.base_columns[places] * unit[:, None]
+        return cls(
+            np.delete(twin.base_columns, places, axis=0),
+            columns,
+            twin.base_score_bias[places] * unit,
+            np.repeat(np.arange(len(terms)), [len(own) for own in rows]),
+            twin.residual().ravel() - (value / unit) @ columns,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,29 +43,23 @@ def product_of(name: str) -> str | None:
 def label_of(name: str) -> str:
     """Return the name of a neighbour in words."""
     effect, _, by = name.partition("×")
-    return f"{TERMS[effect].label}, times {_WORDS[by]}"
+    return f"{TERMS[effect].label}, times {_PRODUCTS[by][0]}"
 
 
 def _columns(name: str, setting: Setting, by: str, twin: Twin) -> Columns:
-    form = FORMS[name]
+    form, times = FORMS[name], _PRODUCTS[by][1]
     if form.side == "gyroscope":
-        return twin.on_gyroscope(_PRODUCTS[by](form.columns(twin.gyroscope, setting), twin.gyroscope))
-    return Columns(_PRODUCTS[by](form.columns(twin.windows, setting), twin.windows), None)
+        return twin.on_gyroscope(times(form.columns(twin.gyroscope, setting), twin.gyroscope))
+    return Columns(times(form.columns(twin.windows, setting), twin.windows), None)
 
 
 def _normalised(signal: Array) -> Array:
     return signal / max(float(np.sqrt((signal**2).mean())), 1e-12)
 
 
-def _reading(columns: Array, signals: Signals) -> Array:
-    """Multiply by a gain of each axis on the sensor's reading, which includes the hard iron."""
-    reading = signals.need("field") + signals.need("hard_iron")[:, None]
-    return columns * reading / np.sqrt((reading**2).mean())
-
-
-def _gain(columns: Array, signals: Signals) -> Array:
-    """Multiply by a gain of each axis on the field."""
-    return columns * _normalised(signals.need("field"))
+def _times(signal: Callable[[Signals], Array]) -> Product:
+    """Return the product with a signal of all axes, or with that of each axis."""
+    return lambda columns, signals: columns * _normalised(signal(signals))
 
 
 def _field(columns: Array, signals: Signals) -> Array:
@@ -75,36 +69,15 @@ def _field(columns: Array, signals: Signals) -> Array:
     return result
 
 
-def _speed(columns: Array, signals: Signals) -> Array:
-    return columns * _normalised(np.linalg.norm(signals.need("rate"), axis=0))
-
-
-def _speed_squared(columns: Array, signals: Signals) -> Array:
-    return columns * _normalised((signals.need("rate") ** 2).sum(axis=0))
-
-
-def _rate(columns: Array, signals: Signals) -> Array:
-    """Multiply by a scale factor of each axis of the gyroscope."""
-    return columns * _normalised(signals.need("rate"))
-
-
-_PRODUCTS: Mapping[str, Product] = MappingProxyType(
+_PRODUCTS: Mapping[str, tuple[str, Product]] = MappingProxyType(
     {
-        "reading": _reading,
-        "gain": _gain,
-        "field": _field,
-        "speed": _speed,
-        "speed²": _speed_squared,
-        "rate": _rate,
-    }
-)
-_WORDS: Mapping[str, str] = MappingProxyType(
-    {
-        "reading": "the reading",
-        "gain": "the field, axis by axis",
-        "field": "the field",
-        "speed": "the speed of turn",
-        "speed²": "the square of the speed of turn",
-        "rate": "the rate of turn, axis by axis",
+        # A gain of each axis acts on the sensor's reading, which includes the hard iron, or on the field.
+        "reading": ("the reading", _times(lambda s: s.need("field") + s.need("hard_iron")[:, None])),
+        "gain": ("the field, axis by axis", _times(lambda s: s.need("field"))),
+        "field": ("the field", _field),
+        "speed": ("the speed of turn", _times(lambda s: np.linalg.norm(s.need("rate"), axis=0))),
+        "speed²": ("the square of the speed of turn", _times(lambda s: (s.need("rate") ** 2).sum(axis=0))),
+        # As a scale factor of each axis of the gyroscope.
+        "rate": ("the rate of turn, axis by axis", _times(lambda s: s.need("rate"))),
     }
 )

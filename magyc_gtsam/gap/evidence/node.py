@@ -162,21 +162,23 @@ class Node:
         name = self.fit.model.terms[index].name
         rivals = self.candidates.only(lambda each: each in TERMS and each != name and related(each, name))
         half = 0.5 * (self.of_terms.nats[index] + PRIOR.named)
-        return any(each.log + PRIOR.named > half for each in weigh(rivals, self.beside_without(index)).values())
-
-    def beside_without(self, index: int) -> Beside:
-        """Return the marginalised set without one of its terms, in its linear model."""
-        return Terms.of(self.fit).added_to(self.beside.rest(), self.scales, without=index)
+        without = Terms.of(self.fit).added_to(
+            self.beside.rest(), self.scales, without=index
+        )  # in its linear model
+        return any(each.log + PRIOR.named > half for each in weigh(rivals, without).values())
 
     def key_with(self, name: str) -> tuple[str, ...]:
         """Return the key of the set with one more name."""
         return tuple(sorted((*self.names, name)))
 
+    def names_without(self, name: str) -> tuple[str, ...]:
+        """Return the names with one less."""
+        at = self.names.index(name)
+        return (*self.names[:at], *self.names[at + 1 :])
+
     def key_without(self, name: str) -> tuple[str, ...]:
         """Return the key of the set with one name less."""
-        names = list(self.names)
-        names.remove(name)
-        return tuple(sorted(names))
+        return tuple(sorted(self.names_without(name)))
 
     def full(self, name: str) -> bool:
         """Return whether the set contains an effect as often as it may, or a special or a general case of it."""

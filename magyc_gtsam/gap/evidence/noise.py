@@ -9,9 +9,7 @@ import numpy as np
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.coarse import unrounded
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations, single_scores
-from magyc_gtsam.gap.samples.motion_lines import follows_motion
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.samples.tones import heard, silenced
 from magyc_gtsam.recording import Recording
@@ -28,11 +26,7 @@ def log_odds(score: NoiseScore) -> float:
 def singles_of(recording: Recording, model: Model) -> tuple[Fine, dict[str, NoiseScore]]:
     """Return the tests of the effects on single samples beside a model."""
     fine = fine_innovations(recording, model)
-    scores = {score.name: score for score in single_scores(fine, 0.0)}
-    tone = scores["tone"]
-    if tone.significant and follows_motion(recording, tone.setting["frequency"], float(tone.value[0])):
-        scores["tone"] = replace(tone, significant=False)
-    return fine, scores
+    return fine, {score.name: score for score in single_scores(recording, fine, 0.0)}
 
 
 def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -> tuple[Recording, NoiseScore]:
@@ -45,8 +39,3 @@ def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -
     assert score.rows is not None
     wrong = np.isin(recording.time, fine.time[score.rows])
     return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong), score
-
-
-def smoothed(given: Recording, model: Model, score: NoiseScore, fine: Fine) -> Recording:
-    """Return the recording without the mean rounding error of its resolution; `fine`: innovations of the model."""
-    return unrounded(given, model, float(score.value[0]), fine.level)

@@ -6,8 +6,6 @@ which it explains as much.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
@@ -48,4 +46,4 @@ def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Besi
     found = weigh(Candidates(stacked, np.zeros(len(stacked)), (batch,)), beside, explained)[ONE_WAY]
     power = max(float(found.power[int(np.argmax(found.by_scale))]), PRIOR.least_power)
     cost = float(np.log(power / 2.0))  # a solid angle 4π / power of the half sphere 2π
-    return replace(found, log=found.log - cost, by_scale=found.by_scale - cost, tied=found.tied - cost)
+    return found.less(cost)

@@ -53,9 +53,8 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
             yield SetWeight(less, node.log + log, seen, powers)
         colour = None if COLOUR in node.names or node.variation is None else node.found.get(COLOUR)
         if colour is not None and node.key_with(COLOUR) not in tried:
-            large = colour.power > _deviation(node, powers, colour)
-            log = node.log + PRIOR.named + np.logaddexp.reduce(colour.by_scale[large])
-            yield SetWeight(tuple(sorted((*key, COLOUR))), log, None, powers)
+            nats, _ = _above([colour], [_deviation(node, powers, colour)])
+            yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + nats, None, powers)
         for gain in node.moving:  # the only unknown effect that resembles a field of the place
             yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
         for each in node.found.values():  # sets that were not fitted, in linearised form
@@ -64,18 +63,20 @@ def weights(tree: Tree) -> Iterator[SetWeight]:
                 large = each.power > PRIOR.form_of_field * node.of_field
                 if large.any():
                     log = node.log + PRIOR.named + np.logaddexp.reduce(each.by_scale[large])
-                    with_it = {**powers, each.name: powers.get(each.name, 0.0) + _mean_power([each], [0.0])}
+                    with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
                     yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
 
 
-def _mean_power(families: Sequence[Weighed], least: Sequence[float]) -> float:
-    """Return the power that families explain above the least of each, in the mean over families and scales."""
-    large = [each.power > limit for each, limit in zip(families, least, strict=True)]
-    logs = np.concatenate([[-np.inf], *(each.by_scale[seen] for each, seen in zip(families, large, strict=True))])
-    if not np.isfinite(logs).any():
-        return 0.0
-    power = np.concatenate([[0.0], *(each.power[seen] for each, seen in zip(families, large, strict=True))])
-    return float(np.exp(logs - np.logaddexp.reduce(logs)) @ power)
+def _above(families: Sequence[Weighed], least: Sequence[float]) -> tuple[float, float]:
+    """Return the nats of families at the scales whose power is above the least of each, and the mean power there."""
+    large = [(each, each.power > limit) for each, limit in zip(families, least, strict=True)]
+    logs = np.concatenate([[-np.inf], *(each.by_scale[seen] for each, seen in large)])
+    total = float(np.logaddexp.reduce(logs))
+    if not np.isfinite(total):
+        return -np.inf, 0.0
+    return total, float(
+        np.exp(logs - total) @ np.concatenate([[0.0], *(each.power[seen] for each, seen in large)])
+    )
 
 
 def _deviation(node: Node, powers: Mapping[str, float], family: Weighed) -> float:
@@ -101,7 +102,7 @@ def _families(tree: Tree, node: Node, powers: Mapping[str, float]) -> tuple[floa
             if not small.all():
                 foreign.append(np.logaddexp.reduce(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
     share = np.log(max(len(families), 1))
-    seen = _mean_power(alone, [_deviation(node, powers, each) for each in alone])
+    _, seen = _above(alone, [_deviation(node, powers, each) for each in alone])
     return (
         float(np.logaddexp.reduce(form) - share) if form else -np.inf,
         (float(np.logaddexp.reduce(foreign) - share) if foreign else -np.inf, seen),
@@ -112,10 +113,8 @@ def _products(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[float, 
     """Yield nats and power of products of an effect with another signal in its place; all are equally probable."""
     for name in {product_of(each) for each in node.found} - {None, *node.names}:
         found = [each for each in node.found.values() if product_of(each.name) == name]
-        least = [_deviation(node, powers, each) for each in found]
-        large = [each.by_scale[each.power > limit] for each, limit in zip(found, least, strict=True)]
-        log = float(np.logaddexp.reduce(np.concatenate([*large, [-np.inf]]))) - float(np.log(len(found)))
-        yield PRIOR.named + PRIOR.imitated + log, _mean_power(found, least)
+        log, power = _above(found, [_deviation(node, powers, each) for each in found])
+        yield PRIOR.named + PRIOR.imitated + log - float(np.log(len(found))), power
 
 
 def _generic(node: Node) -> list[Weighed]:
@@ -140,12 +139,12 @@ def _imitated(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[tuple[s
         of_field = name == FIELD_VARIATION
         rest = [each for each in families if of_field or product_of(each.name) == name]
         least = PRIOR.form * (node.explained if of_field else max(power, node.of_field))
-        large = np.concatenate([*(each.by_scale[each.power > least] for each in rest), [-np.inf]])
+        log, more = _above(rest, [least] * len(rest))
         imitated = PRIOR.imitated - float(np.log(len(powers)))
-        seen = float(np.logaddexp.reduce(large)) - share + (imitated if of_field else PRIOR.unknown)
+        seen = log - share + (imitated if of_field else PRIOR.unknown)
         unseen = -np.inf if of_field else hidden + imitated
         others = tuple(sorted(set(powers) - {name}))
-        yield others, float(np.logaddexp(seen, unseen)), power + _mean_power(rest, [least] * len(rest))
+        yield others, float(np.logaddexp(seen, unseen)), power + more
 
 
 def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:

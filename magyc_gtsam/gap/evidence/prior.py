@@ -9,14 +9,6 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 
 
-def _octaves() -> Array:
-    return 2.0 ** np.arange(-2.0, 6.0)
-
-
-def _shares() -> Array:
-    return 4.0 ** np.arange(-2.0, 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class Prior:
     """Prior probabilities, and limits of the search.
@@ -78,7 +70,7 @@ class Prior:
         hardly_single: log odds below which an effect on single samples is left out.
     """
 
-    scales: Array = field(default_factory=_octaves)
+    scales: Array = field(default_factory=lambda: 2.0 ** np.arange(-2.0, 6.0))
     nothing: float = float(np.log(1 / 3))
     named: float = float(np.log(0.75 / 22))
     unknown: float = float(np.log(0.5))
@@ -87,7 +79,7 @@ class Prior:
     each_more: float = float(np.log(2.5))
     all_named: float = float(np.log(0.002))
     rest: float = 0.125
-    shares: Array = field(default_factory=_shares)
+    shares: Array = field(default_factory=lambda: 4.0 ** np.arange(-2.0, 1.0))
     form: float = 0.04
     form_of_field: float = 0.06
     profile_field: float = 0.3e-6

@@ -178,21 +178,17 @@ class Tree:
 
     def less(self, node: Node, index: int) -> Node:
         """Return a set without the term `index` of its model, fitted if necessary."""
-        names = list(node.names)
-        names.remove(node.fit.model.terms[index].name)
-        known = self.nodes.get(tuple(sorted(names)))
+        name = node.fit.model.terms[index].name
+        known = self.nodes.get(node.key_without(name))
         rest = [term.setting for i, term in enumerate(node.fit.model.terms) if i != index]
         if known is not None and all(term.setting in rest for term in known.fit.model.terms):
             return known
         fit = refit(self._problem, without_term(node.fit.model, index), None)
-        return self._likelier(self._node(tuple(names), fit, _variation(names, fit), node.search))
-
-    def _likelier(self, node: Node) -> Node:
-        """Keep a set, unless the same names with other settings are more probable."""
-        known = self.nodes.get(node.key)
-        if known is None or known.log < node.log:
-            self.nodes[node.key] = node
-        return node
+        names = node.names_without(name)
+        less = self._node(names, fit, _variation(names, fit), node.search)
+        if known is None or known.log < less.log:  # otherwise the same names with other settings are more probable
+            self.nodes[less.key] = less
+        return less
 
     def _children(self, node: Node) -> Iterator[Node]:
         if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.freedom):
@@ -222,10 +218,10 @@ class Tree:
             least, count = max(least, option.log - PRIOR.close), count + 1
 
     def _child(self, node: Node, option: Weighed) -> Node | None:
-        term, setting = TERMS[option.name], dict(option.setting)
+        setting = dict(option.setting)
         if option.name not in node.refined:
             setting = dict(finer(option, node.fit.twin, node.beside, node.named).setting)
-        count = len(term.regressors(node.fit.twin, setting).window)
+        count = len(node.fit.twin.columns(option.name, setting).window)
         model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
         names, search = (*node.names, option.name), node.search + option.search
 

@@ -67,8 +67,8 @@ class Weighed:
         return float(-self.estimate[0] @ self.score)
 
     def less(self, search: float) -> Weighed:
-        """Subtract the nats of a grid search that determined its columns."""
-        return replace(self, log=self.log - search, by_scale=self.by_scale - search)
+        """Subtract the nats of a search that determined its columns."""
+        return replace(self, log=self.log - search, by_scale=self.by_scale - search, tied=self.tied - search)
 
     def with_cell(self, finer: Weighed) -> Weighed:
         """Spread the prior share of its most probable setting over finer settings around it."""

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import LEAST, Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings, what_matters
@@ -20,16 +20,13 @@ from magyc_gtsam.gap.evidence.noise import singles_of
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale, scales_of
 from magyc_gtsam.gap.many.model import MODEL
-from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
-from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
-from magyc_gtsam.gap.preparation.discrete import settled
+from magyc_gtsam.gap.prepared import Prepared
 from magyc_gtsam.gap.samples.fine import fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.sensor_faults.usable import without_faults
 
 _OF_THE_LOG = ("start", "end")  # settings that belong to one recording, as the references of channels do
 
@@ -103,18 +100,18 @@ class OneLog:
         """Fit the twelve parameters to a log.
 
         Raises:
-            MagycError: no gyroscope, or data that cannot be calibrated.
+            MagycError: no gyroscope, data that cannot be calibrated, or in which nothing can be tested.
         """
-        needs_gyroscope(recording)
-        data, _ = without_channel_holes(without_faults(recording).recording)
-        data, discrete = settled(data, names)
-        short_term = short_term_noise(data)
-        base = base_model(data, None, short_term)
+        ready = Prepared.of(recording, names)
+        reasons = ready.untestable()
+        if reasons is not None:
+            raise MagycError(reasons[0])
+        data, base, short_term = ready.recording, ready.base, ready.short_term
         white = fine_innovations(data, base.model).white
         if quantisation(data, white).significant:  # steps hide the noise between neighbouring samples
             short_term = short_term._replace(magnetometer=max(short_term.magnetometer, white))
         start = refit(base.twin.problem, replace(base.model, noise=short_term), None)
-        return cls(name, data, short_term, start, discrete=discrete)
+        return cls(name, data, short_term, start, discrete=ready.discrete)
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
         """Return the log with one more effect in the model, after a joint refit.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.estimators.smoother.fit import inverse_information
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
@@ -19,25 +19,21 @@ _STEPS = 8  # steps at most
 _SETTLED = 1e-2  # squared length of a step, in sigmas by the residuals of the model, below which the descent ends
 _REMEMBERED = 3  # earlier points of the acceleration
 _DAMPED = (1e-2, 1e-1, 1.0, 10.0)  # Levenberg–Marquardt damping that is tried where a step fails
+_DETERMINED = 1e-13  # of the information, below which a direction has this share: its step would be rounding
 _ROUNDING = 0.5  # error of a cost, relative to the misfit, from second-order terms of the rotations
 _FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear term
 _ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
 
 
-class Descent(NamedTuple):
-    """A twin at its minimum, the covariance (q, q) there, and whether the last step was small."""
-
-    twin: Twin
-    covariance: Array
-    converged: bool
-
-
-def descended(twin: Twin, farthest: float = np.inf) -> Descent:
+def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
     """Minimise the cost of a twin over its free parameters and terms.
 
     Args:
         twin: where to start.
         farthest: prior standard deviations of a term's value from which the fit is given up.
+
+    Returns:
+        The twin at its minimum, the covariance (q, q) there, and whether the last step was small.
 
     Raises:
         MagycError: a term with an unbounded effect on the readings, or a value beyond `farthest`.
@@ -56,13 +52,13 @@ def descended(twin: Twin, farthest: float = np.inf) -> Descent:
         covariance = _inverse(information)
         step = -covariance @ gradient
         if float(step @ information @ step) < _SETTLED * misfit:
-            return Descent(twin, covariance, True)
+            return twin, covariance, True
         path = [*path[-_REMEMBERED:], (_values_of(twin.model), step)]
         ahead = _advance(twin, _steps(path, information, gradient), _ROUNDING * misfit)
         if ahead is None:
             break
         twin = ahead
-    return Descent(twin, covariance, False)
+    return twin, covariance, False
 
 
 def _steps(path: Sequence[tuple[Array, Array]], information: Array, gradient: Array) -> Iterator[Array]:
@@ -128,11 +124,7 @@ def _followed(ahead: Twin) -> Twin | None:
 
 
 def _inverse(information: Array) -> Array:
-    """Return the covariance of parameters in any units; large in directions that the data do not determine."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    weight, vector = np.linalg.eigh(information * scale * scale[:, None])
-    result: Array = (vector / np.maximum(weight, 1e-13)) @ vector.T * scale * scale[:, None]
-    return result
+    return inverse_information(information, np.ones(len(information), dtype=bool), _DETERMINED)
 
 
 def prior_of(twin: Twin) -> tuple[Array, Array]:

@@ -15,11 +15,9 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import DELAY, ChainState, Reduced
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
-from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
-from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, integrated
+from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by, integrated
 
 _ROUNDS = 5  # of the directions and the terms of the magnetometer, which depend on each other
 _AGREED = 1e-3  # rad, change of the directions below which a round is the last
@@ -47,18 +45,11 @@ def window_signals(problem: Problem, gyroscope: Integrated, state: ChainState) -
     )
 
 
-def _added(terms: Sequence[Active], signals: Signals) -> Array:
-    """Return the sum (3, n) T of the terms on the magnetometer's reading."""
-    return sum(
-        (FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros((3, len(signals.time)))
-    )
-
-
 def _bend(bent: Sequence[Active], signals: Signals) -> LinearisedSensor:
     """Return the linearisation of the non-linear terms at the field of the signals."""
     field = signals.need("field")
     more, less = (
-        _added(bent, replace(signals, field=field + step, within=signals.path + step))
+        added_by(bent, replace(signals, field=field + step, within=signals.path + step))
         for step in (_NEARBY, -_NEARBY)
     )
     return LinearisedSensor(1 + (more - less) / (2 * _NEARBY), field + signals.need("hard_iron")[:, None])
@@ -79,9 +70,7 @@ def build(
     gyroscope = integrated(problem, model)
     windows = gyroscope.windows
     plain = FieldChain(windows, model.noise)
-    terms = [
-        t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "magnetometer" and t.name != "timing"
-    ]
+    terms = model.on("magnetometer")
     # Directions are in the world of their integration.
     same = near is not None and near[1] is gyroscope
     state = ChainState(model.parameters, near[0].direction) if near and same else plain.start(model.parameters)
@@ -89,7 +78,7 @@ def build(
     for _ in range(_ROUNDS):
         if terms:
             signals = window_signals(problem, gyroscope, state)
-            corrected = replace(windows, field=windows.field - _added(terms, signals))
+            corrected = replace(windows, field=windows.field - added_by(terms, signals))
             chain_ = FieldChain(corrected, model.noise, bend=_bend(bent, signals) if bent else None)
         before = state.direction
         state = chain_.settled(state, chain_.unweighted())

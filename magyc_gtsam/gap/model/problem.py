@@ -72,7 +72,11 @@ class Model:
     @property
     def bends(self) -> tuple[Active, ...]:
         """Return the non-linear terms of the magnetometer, whose form depends on its reading."""
-        return tuple(term for term in self.terms if term.name in FORMS and "hard_iron" in FORMS[term.name].needs)
+        return tuple(term for term in self.terms if "hard_iron" in FORMS[term.name].needs)
+
+    def on(self, side: str) -> tuple[Active, ...]:
+        """Return the terms on a sensor's reading, "magnetometer" or "gyroscope"."""
+        return tuple(term for term in self.estimated if FORMS[term.name].side == side)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +191,12 @@ def _others(recording: Recording, samples: Preintegration, at: Array) -> Signals
     return Signals(at, acceleration=acceleration, channels=channels)
 
 
+def added_by(terms: Sequence[Active], signals: Signals) -> Array:
+    """Return the sum (3, n) of what terms add to a sensor's reading, SI."""
+    each = (FORMS[term.name].evaluate(signals, term.value, term.setting) for term in terms)
+    return sum(each, np.zeros((3, len(signals.time))))
+
+
 def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
     """Return the true rate (3, G) rad/s: the reading less bias and terms of the gyroscope, by fixed-point iteration.
 
@@ -199,8 +209,7 @@ def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
     )
 
     def added(by: Sequence[Active], rate: Array) -> Array:
-        signals = replace(problem.gyroscope, rate=rate)
-        return sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in by), np.zeros(rate.shape))
+        return added_by(by, replace(problem.gyroscope, rate=rate))
 
     measured = measured - added(others, measured)
     true, changes = measured, [np.inf]
@@ -227,7 +236,7 @@ def integrated(problem: Problem, model: Model) -> Integrated:
         MagycError: the terms are so large that a reading belongs to more than one rate.
     """
     bias, delay = model.parameters[9:12], float(model.parameters[DELAY])
-    terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope" and t.value.any()]
+    terms = [term for term in model.on("gyroscope") if term.value.any()]
     key = tuple((t.name, tuple(sorted(t.setting.items())), t.value.tobytes()) for t in terms)
     for place, (known, kept) in enumerate(problem._kept):
         at = kept.windows

@@ -54,6 +54,11 @@ def together(parts: Sequence[Columns]) -> Columns:
     return Columns(np.concatenate([part.window for part in parts]), np.concatenate(links) if links else None)
 
 
+def _contains_rate(name: str) -> bool:
+    """Return whether the regressors of a form contain the gyroscope's noise, so that its score has a bias."""
+    return FORMS[name].side == "gyroscope" and "rate" in FORMS[name].needs
+
+
 @dataclass(frozen=True, eq=False)
 class Twin:
     """A model linearised on a recording.
@@ -160,8 +165,7 @@ class Twin:
         """Return the score bias (q,) of `base_columns`."""
         parts = [np.zeros(int(self.model.free.sum()))]
         parts += [
-            np.zeros(len(t.value)) if FORMS[t.name].side == "magnetometer" else self._score_bias(t)
-            for t in self.model.estimated
+            self._score_bias(t) if _contains_rate(t.name) else np.zeros(len(t.value)) for t in self.model.estimated
         ]
         return np.concatenate(parts)
 
@@ -169,11 +173,13 @@ class Twin:
         return self.rate_score_bias(lambda signals: FORMS[term.name].columns(signals, term.setting))
 
     def columns(self, name: str, setting: Setting) -> Columns:
-        """Return the regressors of a form."""
+        """Return the regressors of a form, per unit of value."""
         form = FORMS[name]
         if form.side == "magnetometer":
             return Columns(form.columns(self.windows, setting), None)
-        return self.of_profile(lambda signals: form.columns(signals, setting))
+        if _contains_rate(name):
+            return self.of_profile(lambda signals: form.columns(signals, setting))
+        return self.on_gyroscope(form.columns(self.gyroscope, setting))
 
     def of_profile(self, profile: Callable[[Signals], Array]) -> Columns:
         """Return the regressors of rate errors, a function (p, 3, ·) rad/s of the gyroscope's signals."""
@@ -186,21 +192,11 @@ class Twin:
             profile: as for `of_profile`.
             reads_rate: False for a profile without the rate, which contains no gyroscope noise and has no score bias.
         """
-        at = self._rates_at_windows
+        at = self.windows
         turned = turned_by(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
         angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
         link = -cross(self.state.direction[:, None, :-1], angle.swapaxes(0, 1)).swapaxes(0, 1)
         return Columns(np.zeros_like(turned), link, self.rate_score_bias(profile) if reads_rate else None)
-
-    @cached_property
-    def _rates_at_windows(self) -> Signals:
-        """Return the gyroscope's signals, averaged over the windows."""
-        return Signals(
-            self.time,
-            rate=self.windows.rate,
-            acceleration=self.windows.acceleration,
-            channels=self.windows.channels,
-        )
 
     def on_gyroscope(self, rate: Array) -> Columns:
         """Return the regressors of rate errors (p, 3, G) rad/s."""
@@ -216,7 +212,7 @@ class Twin:
         −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would reduce the noise and so seem to fit better. Only the
         gyroscope's own noise causes this, not the other errors in the model's noise level.
         """
-        at = self._rates_at_windows
+        at = self.windows
         score_bias = np.zeros(len(profile(at)))
         to_world = np.swapaxes(self.chain.windows.rotation, 0, 1)
         rate = at.need("rate")

@@ -233,7 +233,7 @@ def _varying(node: Node, stated: Mapping[str, float]) -> Iterator[Found]:
     ):
         if size and stated.get(name, 0.0) > PRIOR.named_from:
             value, sigma = np.array([size]), np.array([0.5 * size])  # the grid of amplitudes has octaves
-            yield as_found(NoiseScore(name, 2 * evidence, 0.0, evidence, True, value, sigma, setting), others)
+            yield as_found(NoiseScore(name, 2 * evidence, evidence, True, True, value, sigma, setting), others)
 
 
 def _family(tree: Tree) -> tuple[str, ...]:

@@ -106,8 +106,7 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str], probabilities: Mapping
     elif noise.significant:
         status, words = "significant", "significant"
     else:
-        strong = noise.statistic >= noise.threshold
-        status, words = "rejected", "strong, but not of its form" if strong else "not significant"
+        status, words = "rejected", "strong, but not of its form" if noise.strong else "not significant"
     return Hypothesis(
         name=noise.name,
         label=LABELS[noise.name],

@@ -111,15 +111,11 @@ def _widened_terms(
 
 def fit_of(twin: Twin) -> Fit:
     """Return the field chain of a twin, with the terms of its model beside θ."""
-    return twin.fit(terms=_terms(twin))
-
-
-def _terms(twin: Twin) -> EstimatedTerms | None:
     estimated = twin.model.estimated
     if not estimated:
-        return None
+        return twin.fit()
     parts = [twin.columns(term.name, term.setting) for term in estimated]
     window = np.concatenate([part.window for part in parts])
     links = [np.zeros((*part.window.shape[:2], twin.n - 1)) if part.link is None else part.link for part in parts]
     precision, value = (rows[int(twin.model.free.sum()) :] for rows in prior_of(twin))
-    return EstimatedTerms(UnmodelledColumns(window, np.concatenate(links)), value, precision)
+    return twin.fit(terms=EstimatedTerms(UnmodelledColumns(window, np.concatenate(links)), value, precision))

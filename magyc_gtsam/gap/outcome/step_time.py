@@ -31,9 +31,7 @@ def _sigma(refitted: Refit, index: int, variation: FieldVariation | None) -> flo
     value, _ = refitted.value_of(index)
     own = twin.whiten(twin.columns(term.name, term.setting))
     rows = replace(twin, model=without_term(twin.model, index)).base_columns
-    components, noise = (rows[:0], 1.0) if variation is None else (variation.components, variation.noise)
-    variance, none = np.full(len(components), noise**2), np.zeros(len(rows) + len(components))
-    beside = Beside.of(twin.residual().ravel() - value @ own, rows, components, variance, none, noise)
+    beside = Beside.of_varying(twin.residual().ravel() - value @ own, rows, np.zeros(len(rows)), variation)
     edges = 0.5 * (twin.time[1:] + twin.time[:-1])
     at = int(np.argmin(np.abs(edges - term.setting["time"])))
     window = float(np.median(np.diff(twin.time)))
@@ -42,7 +40,7 @@ def _sigma(refitted: Refit, index: int, variation: FieldVariation | None) -> flo
     settings = [{**term.setting, "time": float(time)} for time in times]
     candidates = Candidates.of_parts(twin, [at_settings(twin, term.name, settings)])
     seen, (batch,) = beside.see(candidates.columns, candidates.score_bias), candidates.batches
-    inverse = np.linalg.pinv(information_of(batch, noise, seen.reach), hermitian=True)
+    inverse = np.linalg.pinv(information_of(batch, beside.noise, seen.reach), hermitian=True)
     score = seen.score[batch.rows]
     profile = np.einsum("bk,bkl,bl->b", score, inverse, score)
     weight = np.exp(0.5 * (profile - profile.max()))

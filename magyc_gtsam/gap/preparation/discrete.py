@@ -49,7 +49,7 @@ def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
         turned = replace(recording, angular_rate=recording.angular_rate @ best.matrix.T)
         explained = 1 - best.unexplained
         setting = {"explained": explained}
-        return turned, [NoiseScore.counted("axis-order", explained, 0.5, True, best.matrix.ravel(), setting)]
+        return turned, [NoiseScore.counted("axis-order", explained, True, True, best.matrix.ravel(), setting)]
     return recording, []
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,11 +15,11 @@ from magyc_gtsam.gap.model.problem import Model, Problem
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.motion_lines import follows_motion
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation, tone
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
-_MOST = 60000  # samples
 NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))  # nats
 
 
@@ -65,11 +65,7 @@ def fine_innovations(recording: Recording, model: Model) -> Fine:
 
 
 def fine_twin(recording: Recording, model: Model) -> Twin:
-    """Return the twin with one window per magnetometer sample; of the middle `_MOST` samples of a longer recording."""
-    if len(recording.magnetometer.time) > _MOST:
-        middle = 0.5 * (recording.time[0] + recording.time[-1]) - recording.time[0]
-        half = 0.5 * recording.duration * _MOST / len(recording.magnetometer.time)
-        recording = recording.between(middle - half, middle + half)
+    """Return the twin with one window per magnetometer sample, at a cost that grows as the number of samples."""
     return Twin.of(Problem.of(recording, preintegrate(recording, window=1e-9)), model)
 
 
@@ -79,10 +75,15 @@ def _edge(field: Array, rate: float) -> float:
     return float(RULES.motion_harmonics * (np.searchsorted(held, RULES.motion_held) + 1) * rate / field.shape[1])
 
 
-def single_scores(fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
-    """Return the tests for wrong samples and for a tone."""
-    spiky = spikes(fine.innovation, fine.level, limit)
-    return spiky, tone(fine.calm, fine.time, fine.level, limit, fine.edge)
+def single_scores(recording: Recording, fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
+    """Return the tests of a recording's innovations for wrong samples and for a tone; a line of the motion is none."""
+    spiky, line = (
+        spikes(fine.innovation, fine.level, limit),
+        tone(fine.calm, fine.time, fine.level, limit, fine.edge),
+    )
+    if line.significant and follows_motion(recording, line.setting["frequency"], float(line.value[0])):
+        line = replace(line, significant=False)
+    return spiky, line
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ class First:
         """Return the tests of the effects on single samples."""
         fine = self.fine
         return [
-            *single_scores(fine, NOISE_LIMIT),
+            *single_scores(self.recording, fine, NOISE_LIMIT),
             coloured_noise(fine.calm, fine.rate, fine.level, NOISE_LIMIT),
             quantisation(self.recording, fine.white),
         ]

@@ -34,9 +34,10 @@ class NoiseScore:
 
     Attributes:
         name: of the catalogue.
-        statistic, threshold: twice the gain in log-likelihood, and the level that it must exceed.
+        statistic: twice the gain in log-likelihood.
         evidence: nats beyond chance.
-        significant: True if the effect is significant.
+        strong: whether that is more than noise alone would reach.
+        significant: whether it is, and of the form of the effect.
         value, sigma: (k,) SI.
         setting: frequency Hz, correlation time s, …
         rows: mask of the samples of `Fine` that are affected (spikes).
@@ -44,8 +45,8 @@ class NoiseScore:
 
     name: str
     statistic: float
-    threshold: float
     evidence: float
+    strong: bool
     significant: bool
     value: Array
     sigma: Array
@@ -59,10 +60,10 @@ class NoiseScore:
 
     @classmethod
     def counted(
-        cls, name: str, statistic: float, threshold: float, there: bool, value: Array, setting: Mapping[str, float]
+        cls, name: str, statistic: float, strong: bool, there: bool, value: Array, setting: Mapping[str, float]
     ) -> NoiseScore:
         """Return the test of an effect that is counted, not estimated: it is certainly there, or not there."""
-        return cls(name, statistic, threshold, COUNTED * there, there, value, np.zeros(len(value)), setting)
+        return cls(name, statistic, COUNTED * there, strong, there, value, np.zeros(len(value)), setting)
 
 
 def tone(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
@@ -86,17 +87,16 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
     surprise[: RULES.lowest_bins] = 0.0
     best = int(np.argmax(surprise))
     evidence = float(surprise[best] - np.log(len(frequency)))
-    limit = limit + RULES.unsure_line
-    needed = limit + np.log(len(frequency))
+    strong = evidence > limit + RULES.unsure_line
     read, _ = _periodogram_of(innovation, time, edge)
     of_noise = 3 * _beside(read)[best] / _MEDIAN
     amplitude = 2 * np.sqrt(max(read[best] - of_noise, 0.0) / innovation.shape[1]) * level
     return NoiseScore(
         "tone",
         2 * float(height[best]),
-        2 * needed + 8,
         evidence,
-        evidence > limit and frequency[best] > edge,
+        strong,
+        strong and frequency[best] > edge,
         np.array([amplitude]),
         np.array([amplitude / np.sqrt(max(2 * height[best], 1e-9))]),
         {"frequency": float(frequency[best])},
@@ -185,13 +185,13 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
     # Standard deviation of the coloured part, from the area under its spectrum.
     shape = 1 / (1 + (frequency / corner) ** 2) if corner else np.zeros(1)
     deviation = float(np.sqrt(strength * white * shape.mean())) * level
-    noise = evidence > limit and time_constant < RULES.longest_colour and one_way < RULES.one_way
+    noise = time_constant < RULES.longest_colour and one_way < RULES.one_way
     return NoiseScore(
         "coloured-noise",
         2 * gain,
-        2 * (limit + RULES.chance),
         evidence,
-        noise,
+        evidence > limit,
+        evidence > limit and noise,
         np.array([deviation]),
         np.array([deviation / np.sqrt(max(2 * gain, 1.0))]),
         {"correlation_time": time_constant, "one_way": one_way},
@@ -205,7 +205,7 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
     step = float(steps.max())
     ratio = step / max(noise, 1e-15)
     coarse, setting = ratio > RULES.coarse, {"ratio": ratio}
-    return NoiseScore.counted("quantisation", ratio, RULES.coarse, coarse, np.array([step]), setting)
+    return NoiseScore.counted("quantisation", ratio, coarse, coarse, np.array([step]), setting)
 
 
 def lattice(values: Array) -> float:
@@ -227,4 +227,4 @@ def sample_hold(recording: Recording) -> NoiseScore:
     if np.isinf(rows):
         rows = recording.magnetic_field_stamped.sum() / max(int(fresh), 1)
     value, setting = np.array([rows]), {"share": repeats.share}
-    return NoiseScore.counted("sample-hold", repeats.share, HELD, repeats.held, value, setting)
+    return NoiseScore.counted("sample-hold", repeats.share, repeats.share >= HELD, repeats.held, value, setting)

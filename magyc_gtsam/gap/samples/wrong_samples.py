@@ -48,17 +48,15 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     # itself: there, the median wrong sample must exceed the limit of a spike.
     apart = not order or _MEDIAN * ratio > RULES.spike**2
     evidence = gain - RULES.chance
-    significant = (
-        evidence > limit and hit.sum() >= 2 and alone > RULES.spikes_alone and share < RULES.rare and apart
-    )
+    single_ones = hit.sum() >= 2 and alone > RULES.spikes_alone and share < RULES.rare and apart
     total = max(float(belongs.sum()), 1e-9)
     height = float(np.sqrt(belongs @ (residual**2).sum(axis=0) / (3 * total))) * level
     return NoiseScore(
         "spikes",
         2 * gain,
-        2 * (limit + RULES.chance),
         evidence,
-        significant,
+        evidence > limit,
+        evidence > limit and bool(single_ones),
         np.array([height]),
         np.array([height / np.sqrt(max(6 * total, 1.0))]),
         {"share": share, "count": float(hit.sum())},
