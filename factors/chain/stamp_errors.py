@@ -3,7 +3,7 @@
 A driver that reads its samples in batches stamps them by the time at which it got the batch, spread evenly or not. The
 stamps of a batch are then late by a delay δ that differs from batch to batch. Integrated over such stamps the attitude
 is off by −∫ δ dω: nothing at a constant rate, but at each change of the rate an error that stays. Its variance per
-batch is σ_δ² |Δω|², with Δω the change of the rate across the batch.
+batch is σ_δ² |Δω|², with Δω the change of the rate from one batch to the next.
 
 A sensor samples evenly, so that a batch that lasts longer than its samples do is one whose delay grew. Of independent
 delays E[max(δ' − δ, 0)²] = σ_δ². Only what is too long counts: of what is too short a part is lost, where stamps would
@@ -13,7 +13,6 @@ run backwards. Batches that are too long alone are pauses or lost samples, whose
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -54,7 +53,8 @@ class StampRules:
 RULES = StampRules()
 
 
-class StampErrors(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class StampErrors:
     """The delays of a gyroscope's stamps.
 
     Attributes:
@@ -87,7 +87,7 @@ def stamp_errors(time: Array, rules: StampRules = RULES) -> StampErrors | None:
     if shortest > (1 - rules.even) * float(step.max()):
         return None
     typical = median(step)
-    if shortest > (1 - rules.off) * typical:
+    if shortest > (1 - rules.off) * typical > rules.together * mean:
         return None
     first = _batches(step, rules.even * mean)
     if not rules.batches <= len(first) <= len(step) / rules.alike:
@@ -118,10 +118,8 @@ def _batches(step: Array, even: float) -> np.ndarray:
 
 
 def _squared_changes(rate: Array, first: np.ndarray, count: np.ndarray, noise: float) -> Array:
-    """Return |Δω|² (k,) in rad²/s² across each batch, from the mean rates of those beside it, less that of noise."""
+    """Return |Δω|² (k,) in rad²/s² from each batch to the next, between their mean rates, less that of noise."""
     mean = np.add.reduceat(rate[1:], first, axis=0) / count[:, None]
-    beside = np.concatenate([mean[:1], mean, mean[-1:]])
-    samples = np.concatenate([count[:1], count, count[-1:]])
-    change = 0.5 * (beside[2:] - beside[:-2])
-    by_noise = 0.25 * rate.shape[1] * noise**2 * (1 / samples[2:] + 1 / samples[:-2])
+    change = np.diff(mean, axis=0, append=mean[-1:])
+    by_noise = rate.shape[1] * noise**2 * (1 / count + 1 / np.append(count[1:], count[-1]))
     return np.maximum(np.einsum("ki,ki->k", change, change) - by_noise, 0.0)

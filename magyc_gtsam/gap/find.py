@@ -22,7 +22,7 @@ from magyc_gtsam.gap.model.refit import Refit, widened
 from magyc_gtsam.gap.naming.named import Named, named
 from magyc_gtsam.gap.naming.steps import with_one_jump, without_samples_of_steps
 from magyc_gtsam.gap.outcome.corrected import as_calibration
-from magyc_gtsam.gap.outcome.doubt import with_clipped
+from magyc_gtsam.gap.outcome.doubt import with_clipped, with_stuck_bit
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.gap.preparation.discrete import noiseless, settled
@@ -154,7 +154,7 @@ def _gap_and_named(
         result = with_one_jump(named(said, first, short_term), short_term)
         result = without_samples_of_steps(recording, result)
         gap = gap_of(result, short_term, calibration, names, discrete)
-    gap = with_clipped(gap, usable.clipped)
+    gap = with_stuck_bit(with_clipped(gap, usable.clipped), usable.bit)
     run = {"seconds": clock.perf_counter() - started, "left_out": [*usable.left_out, *unlogged]}
     return replace(gap, diagnostics={**gap.diagnostics, **run}), result
 
