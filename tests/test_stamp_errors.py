@@ -68,6 +68,7 @@ def test_stamps_that_are_right_are_left_alone() -> None:
         "rounded to 1 ms": np.round(time * 1.003, 3),
         "in ticks of 10 ms": np.floor(time / 1.7 * 100) / 100,
         "lost in bursts": np.round(time[~lost], 4),
+        "in ticks of a quarter of the step, and lost": np.ceil(0.993 * time[~lost] / 0.005) * 0.005,
         "paused": time + np.cumsum(random.random(len(time)) < 0.01) * 0.13,
         "uneven": np.sort(time + random.normal(0, 0.003, len(time))),
         "two rates": np.cumsum(np.where(np.arange(len(time)) // 5000 % 2, STEP, 0.5 * STEP)),
