@@ -69,6 +69,7 @@ class GyroscopeTrack:
         rotation: R at the stamps, as spinors (G,).
         lever_before: (9,) s, K at the first stamp, for a piece of a longer track (`following`).
         squared_time_before: s², Σ dt² at the first stamp, for a piece of a longer track.
+        stamp_variance: (G − 1,) s², what errors of the stamps add to dt² in each step; None for none.
     """
 
     time: Array
@@ -79,6 +80,7 @@ class GyroscopeTrack:
     rotation: Spinor
     lever_before: Array = field(default_factory=lambda: np.zeros(9))
     squared_time_before: float = 0.0
+    stamp_variance: Array | None = None
 
     @classmethod
     def integrate(
@@ -162,8 +164,9 @@ class GyroscopeTrack:
 
     @cached_property
     def squared_time(self) -> Array:
-        """Σ dt² up to each stamp (G,) in s²."""
-        return np.cumsum(np.concatenate([[self.squared_time_before], self.step**2]))
+        """Σ dt² up to each stamp (G,) in s², with what errors of the stamps add to it."""
+        squared = self.step**2 if self.stamp_variance is None else self.step**2 + self.stamp_variance
+        return np.cumsum(np.concatenate([[self.squared_time_before], squared]))
 
     def rotation_at(self, when: Array) -> tuple[Spinor, Array]:
         """Return R as spinors (n,), and the rate (n, 3) in rad/s less the bias, at times inside the track.

@@ -20,11 +20,10 @@ delay τ of the magnetometer R is taken at t − τ.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.field_windows import (
     NONE,
     NOTHING,
@@ -35,11 +34,11 @@ from magyc_gtsam.factors.chain.field_windows import (
     joined_between,
 )
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
-from magyc_gtsam.factors.chain.rotations import Array, Spinor, cross, matrices
+from magyc_gtsam.factors.chain.rotations import Array, Spinor, cross
+from magyc_gtsam.factors.chain.window_sums import ROWS, window_sums
 from magyc_gtsam.factors.errors import MagycError
 
 HOLE = 0.5  # s, a longer step of the gyroscope interrupts a chain
-_ROWS = 27  # rows per sample: R 9, K 9, dRᵀ/dτ 9
 _CHUNK = 16384  # samples whose matrices are held at a time, which bounds the memory
 _MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the neighbouring samples
 
@@ -80,6 +79,7 @@ class Preintegration:
         hole: s, a gyroscope step longer than this interrupts the chain.
         begun: number of windows, including the share of the present one, before the first gyroscope sample; for the
             continuation of a longer log.
+        stamp_variance: (G − 1,) s², what errors of the gyroscope's stamps add to dt² in each step; None for none.
 
     Attributes:
         starts: (n,) index of each window's first magnetometer sample.
@@ -100,6 +100,7 @@ class Preintegration:
     turn: float = 0.2
     hole: float = HOLE
     begun: float = 0.0
+    stamp_variance: Array | None = None
     starts: np.ndarray = field(init=False)
     linked: np.ndarray = field(init=False)
     empty: EmptyWindows = field(init=False)
@@ -176,8 +177,8 @@ class Preintegration:
         starts, total = self.starts, len(self.magnetometer_time)
         count = np.diff(np.append(starts, total)).astype(float)
         time = np.add.reduceat(self.magnetometer_time, starts) / count
-        means = np.empty((_ROWS, len(starts)))
-        turned, lever, rate = slice(0, 9), slice(9, 18), slice(18, _ROWS)
+        means = np.empty((ROWS, len(starts)))
+        turned, lever, rate = slice(0, 9), slice(9, 18), slice(18, ROWS)
         squared_time = np.empty(len(starts))
         first, track = 0, None
         between: list[Between] = []
@@ -187,7 +188,7 @@ class Preintegration:
             stop = int(starts[last]) if last < len(starts) else total
             track = self._track(track, slice(int(starts[first]), stop), bias, delay)
             own = starts[first:last] - starts[first]
-            means[:, first:last] = _sums(own, *self._at(track, slice(int(starts[first]), stop), delay))
+            means[:, first:last] = window_sums(own, *self._at(track, slice(int(starts[first]), stop), delay))
             squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
             if len(self.empty.link):
                 between.append(self.empty.part(first, last).integrated(track, delay))
@@ -237,35 +238,36 @@ class Preintegration:
             starts=self.starts[first:last] - self.starts[first],
             linked=self.linked[first : last - 1],
             empty=self.empty.part(first, last - 1),
+            stamp_variance=self._stamp_variance(rates),
         )
         return result, rates
 
-    def _with(self, **changes: Array | EmptyWindows) -> Preintegration:
+    def _with(self, **changes: Array | EmptyWindows | None) -> Preintegration:
         """Return a copy with other fields and the same windows, which are not computed again."""
         result = copy.copy(self)
         for name, value in changes.items():
             object.__setattr__(result, name, value)
         return result
 
+    def _stamp_variance(self, rows: slice) -> Array | None:
+        stop = min(rows.stop, len(self.gyroscope_time)) - 1
+        return None if self.stamp_variance is None else self.stamp_variance[rows.start : stop]
+
     def _track(self, before: GyroscopeTrack | None, rows: slice, bias: Array, delay: float) -> GyroscopeTrack:
-        """Integrate the gyroscope over a slice of the magnetometer's samples, in the world frame of the piece
-        `before`.
-        """
+        """Integrate the gyroscope over a slice of the magnetometer's samples, in the world frame of `before`."""
+
+        def after(sample: int) -> int:
+            when = self.magnetometer_time[sample] - delay
+            return int(np.searchsorted(self.gyroscope_time, when, side="right"))
+
         begin, stop = 0, len(self.gyroscope_time)
         if rows.stop < len(self.magnetometer_time):  # beyond the first sample of the next piece
-            stop = int(
-                np.searchsorted(self.gyroscope_time, self.magnetometer_time[rows.stop] - delay, side="right")
-            )
-            stop = min(max(stop, 1) + _MARGIN, len(self.gyroscope_time))
+            stop = min(max(after(rows.stop), 1) + _MARGIN, stop)
         if before is not None:
-            begin = int(
-                np.searchsorted(self.gyroscope_time, self.magnetometer_time[rows.start] - delay, side="right")
-            )
-            begin = max(begin - 1 - _MARGIN, 0)
-        time = self.gyroscope_time[begin:stop]
-        track = GyroscopeTrack.integrate(
-            time, self.angular_rate[begin:stop], bias, interval_mean=self.interval_mean
-        )
+            begin = max(after(rows.start) - 1 - _MARGIN, 0)
+        time, rate = self.gyroscope_time[begin:stop], self.angular_rate[begin:stop]
+        track = GyroscopeTrack.integrate(time, rate, bias, interval_mean=self.interval_mean)
+        track = replace(track, stamp_variance=self._stamp_variance(slice(begin, stop)))
         return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
 
     def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Spinor, Array, Array]:
@@ -278,23 +280,3 @@ class Preintegration:
             return (p[own], q[own]), track.lever[:, own], track.angular_rate[own] - track.bias
         rotation, rate = track.rotation_at(when)
         return rotation, track.lever_at(when), rate
-
-
-def _sums(starts: np.ndarray, rotation: Spinor, lever: Array, rate: Array) -> Array:
-    """Return the sums (27, n) over the samples from each start to the next: of R, K and dRᵀ/dτ, row by row."""
-    result = np.empty((_ROWS, len(starts)))
-    if compiled.loops:
-        samples = map(compiled.given, (*rotation, lever, rate))
-        compiled.loops.sum_windows(len(rate), starts.astype(np.int64, copy=False), *samples, result)
-        return result
-    x, y, z = rate.T
-    turned = matrices(rotation)
-    r = turned.reshape(3, 3, -1).swapaxes(0, 1)  # rows of Rᵀ
-    # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
-    change = np.empty((3, 3, len(rate)))
-    np.subtract(y * r[2], z * r[1], out=change[0])
-    np.subtract(z * r[0], x * r[2], out=change[1])
-    np.subtract(x * r[1], y * r[0], out=change[2])
-    for part, rows in zip(np.split(result, 3), (turned, lever, change.reshape(9, -1)), strict=True):
-        np.add.reduceat(rows, starts, axis=1, out=part)
-    return result

@@ -190,9 +190,9 @@ def calibrate(
     try:
         result: Calibration = function(with_chance_repeats(usable.recording), progress=progress, **given)
     except MagycError as problem:
-        if usable.clipped is None:
+        if not usable.refused:
             raise
-        raise MagycError(f"{usable.clipped.sentence}; {problem}") from None
+        raise MagycError(f"{usable.refused}; {problem}") from None
     result = replace(result, diagnostics={**result.diagnostics, "recordings": [*before, own]})
     left_out = usable.left_out
     if left_out:
@@ -203,8 +203,8 @@ def calibrate(
         doubt = doubt_strength(measured, field_strength)
         if doubt:
             result = replace(result, converged=False, message=f"{doubt}; {result.message}")
-    if usable.clipped is not None:
-        result = replace(result, converged=False, message=f"{usable.clipped.sentence}; {result.message}")
+    if usable.refused:
+        result = replace(result, converged=False, message=f"{usable.refused}; {result.message}")
     return result.made_from(recording)
 
 

@@ -18,7 +18,7 @@ from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.naming.named import Named, named
 from magyc_gtsam.gap.naming.steps import with_one_jump, without_samples_of_steps
-from magyc_gtsam.gap.outcome.doubt import with_clipped
+from magyc_gtsam.gap.outcome.doubt import with_clipped, with_stuck_bit
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.prepared import Prepared
 from magyc_gtsam.gap.result import Gap
@@ -136,7 +136,7 @@ def _gap_and_named(
         result = with_one_jump(named(said, first, short_term), short_term)
         result = without_samples_of_steps(ready.recording, result)
         gap = gap_of(result, short_term, calibration, names, ready.discrete)
-    gap = with_clipped(gap, ready.usable.clipped)
+    gap = with_stuck_bit(with_clipped(gap, ready.usable.clipped), ready.usable.bit)
     left_out = [*ready.usable.left_out, *ready.left_out]
     run = {"seconds": clock.perf_counter() - started, "left_out": left_out}
     return replace(gap, diagnostics={**gap.diagnostics, **run}), result

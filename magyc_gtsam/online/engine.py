@@ -104,16 +104,17 @@ class Engine(Protocol):
 
 def refusal(faults: SensorFaults) -> str:
     """Return the reason why the remaining samples allow no calibration; empty if they do."""
-    clipped = faults.clipped, faults.clipped_field
-    return "; ".join(fault.sentence for fault in clipped if fault is not None and fault.too_often)
+    harmful = faults.stuck_bit, faults.clipped, faults.clipped_field
+    return "; ".join(fault.sentence for fault in harmful if fault is not None and fault.too_often)
 
 
 def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
     """Return the progress with the faults of the sensors added."""
     every, clipped, clipped_field = faults.stuck(progress.duration), faults.clipped, faults.clipped_field
-    if not every and clipped is None and clipped_field is None and not faults.dropped:
+    refused = refusal(faults)
+    if not every and clipped is None and clipped_field is None and not refused and not faults.dropped:
         return progress
-    now, refused = faults.stuck(progress.duration, now=True), refusal(faults)
+    now = faults.stuck(progress.duration, now=True)
     sentence = progress.sentence
     if refused:
         sentence = refused

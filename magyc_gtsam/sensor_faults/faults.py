@@ -14,6 +14,7 @@ from magyc_gtsam.sensor_faults.repeats import Repeats
 from magyc_gtsam.sensor_faults.single_samples import FaultySamples, ZeroRates, Zeros, found_in_turn
 from magyc_gtsam.sensor_faults.spikes import Spikes
 from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes
+from magyc_gtsam.sensor_faults.stuck_bit import StuckBit, StuckBits
 from magyc_gtsam.sensor_faults.stuck_finding import Stuck, named
 from magyc_gtsam.sensor_faults.waiting_field import WaitingField
 
@@ -34,6 +35,7 @@ class SensorFaults:
         self.spikes = Spikes(), Spikes()
         self.cut_off = CutOff()
         self.full_scale = FullScale(samples, samples) if samples is not None else FullScale()
+        self.stuck_bits = StuckBits(samples, samples) if samples is not None else StuckBits()
         self.repeats = Repeats(None) if whole else Repeats()
         if whole:
             self.magnetometer = StuckAxes(remembered=None)
@@ -57,6 +59,7 @@ class SensorFaults:
         turns = recording.angular_rate is not None and "angular_rate" in sensors
         faults.take(field, recording.gyroscope if turns else Samples(np.empty(0), np.empty((0, 3))), repeated)
         faults.full_scale.conclude()
+        faults.stuck_bits.conclude()
         faults.gyroscope.conclude()
         return faults
 
@@ -68,6 +71,7 @@ class SensorFaults:
             gyroscope = gate.take(gyroscope)
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
+        self.stuck_bits.observe(magnetometer.value)
         self._field.append(magnetometer, gyroscope)
         first, second = self._gates
         passed = first.take(magnetometer), second.take(self._cut_off_gate.take(gyroscope))
@@ -96,6 +100,11 @@ class SensorFaults:
         """The samples that the magnetometer's full scale cut off; None if too few to do harm."""
         return self.full_scale.finding(*self._shown)
 
+    @property
+    def stuck_bit(self) -> StuckBit | None:
+        """The bit of the magnetometer that always reads the same, or None."""
+        return self.stuck_bits.finding(*self._shown)
+
     def stuck(self, duration: float, now: bool = False) -> tuple[Stuck, ...]:
         """Return the stuck axes in a run of `duration` s, the largest share first; with `now`, those still stuck."""
         field = self.magnetometer_stretches(now)
@@ -115,7 +124,7 @@ class SensorFaults:
         return tuple(s for s in every if not _at_full_scale(s, levels))
 
     @property
-    def _parts(self) -> Mapping[str, SampleGate | FullScale | Repeats]:
+    def _parts(self) -> Mapping[str, SampleGate | FullScale | StuckBits | Repeats]:
         return {
             "zeros": self._zero_gates[0],
             "zero_rates": self._zero_gates[1],
@@ -125,6 +134,7 @@ class SensorFaults:
             "magnetometer": self._gates[0],
             "gyroscope": self._gates[1],
             "full_scale": self.full_scale,
+            "stuck_bits": self.stuck_bits,
             "repeats": self.repeats,
         }
 

@@ -12,6 +12,7 @@ import numpy as np
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.sensor_faults import full_scale, largest_value, stuck
 from magyc_gtsam.sensor_faults.spikes import has_spikes
+from magyc_gtsam.sensor_faults.stuck_bit import stuck_bit
 
 
 def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
@@ -21,6 +22,7 @@ def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
         _repeats(recording)
         or _has_zeros(field)
         or any(_may_be_stuck(axis) or _may_be_cut_off(axis) for axis in _axes(field))
+        or stuck_bit(field) is not None
     ):
         return True
     if recording.angular_rate is None or "angular_rate" not in sensors:

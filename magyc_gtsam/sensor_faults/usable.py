@@ -14,6 +14,7 @@ from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 from magyc_gtsam.sensor_faults.screen import may_be_faulty
 from magyc_gtsam.sensor_faults.single_samples import FaultySamples
+from magyc_gtsam.sensor_faults.stuck_bit import StuckBit
 from magyc_gtsam.sensor_faults.stuck_finding import MOST, SMALL, Stuck
 
 
@@ -27,6 +28,7 @@ class Usable:
         single: single faulty samples: placeholders (zero on all axes) of each sensor, spikes of the gyroscope.
         cut_off: samples that the gyroscope's full scale cut off; None if there are none.
         clipped: samples that the magnetometer's full scale cut off, which remain in the rows; None if there are none.
+        bit: a bit of the magnetometer that always reads the same; its samples remain as well.
     """
 
     recording: Recording
@@ -34,6 +36,12 @@ class Usable:
     single: tuple[FaultySamples, ...]
     cut_off: Clipped | None
     clipped: ClippedField | None
+    bit: StuckBit | None
+
+    @property
+    def refused(self) -> str:
+        """Why no calibration from the rows may be trusted; "" if one may."""
+        return "; ".join(fault.sentence for fault in (self.bit, self.clipped) if fault is not None)
 
     @property
     def left_out(self) -> list[str]:
@@ -50,7 +58,7 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
         MagycError: an axis was stuck for more than half of the recording, or too many turns were cut off.
     """
     if not may_be_faulty(recording, sensors):
-        return Usable(recording, (), (), None, None)
+        return Usable(recording, (), (), None, None, None)
     faults, time = SensorFaults.of(recording, sensors), recording.time
     hole = inside(faults.cut_off.spans, time)
     cut_off = faults.cut_off.finding(float(hole.mean()))
@@ -71,7 +79,7 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     if no_rate.any():
         usable = _without_rates(usable, no_rate)
     usable = usable if kept.all() else usable.rows(kept)
-    return Usable(usable, stuck, faults.single_samples, cut_off, faults.clipped_field)
+    return Usable(usable, stuck, faults.single_samples, cut_off, faults.clipped_field, faults.stuck_bit)
 
 
 def _without_zero_fields(recording: Recording) -> Recording:

@@ -9,9 +9,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.stamp_errors import stamp_errors
 from magyc_gtsam.recording import Recording, Samples
 
 _TRIPLETS = 1000  # number of sample triplets used for the short-term noise
+_LEAST_RATE_NOISE = 1e-6  # rad/s
 _ROUNDING = 1e-9  # of a value, below which a second difference is zero
 
 
@@ -24,6 +26,27 @@ def preintegrate(recording: Recording, window: float = 1.5, turn: float | None =
         interval_mean=recording.angular_rate_is == "interval-mean",
         length=window,
         turn=suitable_turn(magnetometer.value) if turn is None else turn,
+        stamp_variance=stamp_variance(gyroscope),
+    )
+
+
+def stamp_variance(gyroscope: Samples) -> Array | None:
+    """Return what errors of the gyroscope's stamps add to dt² in each step, (G − 1,) s²; None if there are none."""
+    found = stamp_errors(gyroscope.time)
+    if found is None:
+        return None
+    noise = _noise(gyroscope, _LEAST_RATE_NOISE)
+    return found.variance(gyroscope.value, noise) / noise**2
+
+
+def stamps_remark(gyroscope: Samples) -> str:
+    """Return a sentence on errors of the gyroscope's stamps that widen the sigmas; "" if there are none."""
+    found = stamp_errors(gyroscope.time)
+    if found is None:
+        return ""
+    return (
+        f"the gyroscope's samples come in batches of some {found.count.mean():.0f}, whose stamps are off by "
+        f"{1e3 * found.spread:.2g} ms (1σ) from batch to batch, which widens the sigmas: record each sample's own stamp"
     )
 
 
@@ -55,7 +78,7 @@ class Streams(Protocol):
 
 def short_term_noise(recording: Streams) -> SensorNoise:
     """Estimate the noise per sample and axis from second differences, which smooth motion hardly affects."""
-    return SensorNoise(magnetometer_noise(recording), _noise(recording.gyroscope, 1e-6))
+    return SensorNoise(magnetometer_noise(recording), _noise(recording.gyroscope, _LEAST_RATE_NOISE))
 
 
 def magnetometer_noise(recording: Streams) -> float:

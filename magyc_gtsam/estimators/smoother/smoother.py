@@ -32,7 +32,7 @@ from magyc_gtsam.estimators.smoother.known import (
     remedies,
 )
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.estimators.smoother.preparation import Streams
+from magyc_gtsam.estimators.smoother.preparation import Streams, stamps_remark
 from magyc_gtsam.estimators.smoother.reasons import contradicted_options, disturbed_end, doubts_of, jumped
 from magyc_gtsam.estimators.smoother.search import Progress, fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import on_skew
@@ -197,11 +197,12 @@ def calibration_of(
         reasons.insert(0, wrong)
     reasons += judgement.reasons
     upright = upright_facts(fit)
-    unused = [fact.sentence for fact in upright if fact.contradiction]
+    remarks = [fact.sentence for fact in upright if fact.contradiction]
+    remarks.append(stamps_remark(samples.gyroscope))
     told = [
         f"converged in {fit.iterations} iterations",
         known_of(options).note,
-        *unused,
+        *remarks,
         judgement.remark,
     ]
     noise = fit.chain.noise
@@ -226,7 +227,7 @@ def calibration_of(
         delay_sigma=float(np.sqrt(judgement.delay_variance)) if fit.free[DELAY] else None,
         terms=terms,
         converged=not reasons,
-        message="; ".join(filter(None, [*reasons, *unused, variation(unexplained)] if reasons else told)),
+        message="; ".join(filter(None, [*reasons, *remarks, variation(unexplained)] if reasons else told)),
         method="smoother",
         noise={"magnetic_field": noise.magnetometer, "angular_rate": noise.gyroscope},
         field_strength=unit,

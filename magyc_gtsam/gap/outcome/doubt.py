@@ -10,6 +10,7 @@ from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Manoeuvre
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
+from magyc_gtsam.sensor_faults.stuck_bit import StuckBit
 
 _LOG_MORE = "log current, temperature and depth"
 APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"
@@ -48,6 +49,18 @@ def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
         base=doubted(gap.base, doubt),
     )
     return with_doubt(doubted_gap, doubt)
+
+
+def with_stuck_bit(gap: Gap, bit: StuckBit | None) -> Gap:
+    """Return the gap, open if a bit of the magnetometer is stuck, of which the catalogue has no effect."""
+    if bit is None:
+        return gap
+    doubt = Doubt(
+        f"a bit of axis {bit.axis} of the magnetometer is stuck", "replace the sensor, or mend its driver"
+    )
+    verdict = gap.verdict if gap.verdict == "not enough information" else "open"
+    sentence = f"{bit.sentence}; {gap.sentence}"
+    return with_doubt(replace(gap, verdict=verdict, sentence=sentence, base=doubted(gap.base, doubt)), doubt)
 
 
 def remedy(doubt: Doubt, purpose: str) -> Manoeuvre:

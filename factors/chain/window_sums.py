@@ -1,0 +1,30 @@
+"""Sums of attitude, lever and rate of turn over the magnetometer samples of each window."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.chain import compiled
+from magyc_gtsam.factors.chain.rotations import Array, Spinor, matrices
+
+ROWS = 27  # rows per sample: R 9, K 9, dRᵀ/dτ 9
+
+
+def window_sums(starts: np.ndarray, rotation: Spinor, lever: Array, rate: Array) -> Array:
+    """Return the sums (27, n) over the samples from each start to the next: of R, K and dRᵀ/dτ, row by row."""
+    result = np.empty((ROWS, len(starts)))
+    if compiled.loops:
+        samples = map(compiled.given, (*rotation, lever, rate))
+        compiled.loops.sum_windows(len(rate), starts.astype(np.int64, copy=False), *samples, result)
+        return result
+    x, y, z = rate.T
+    turned = matrices(rotation)
+    r = turned.reshape(3, 3, -1).swapaxes(0, 1)  # rows of Rᵀ
+    # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
+    change = np.empty((3, 3, len(rate)))
+    np.subtract(y * r[2], z * r[1], out=change[0])
+    np.subtract(z * r[0], x * r[2], out=change[1])
+    np.subtract(x * r[1], y * r[0], out=change[2])
+    for part, rows in zip(np.split(result, 3), (turned, lever, change.reshape(9, -1)), strict=True):
+        np.add.reduceat(rows, starts, axis=1, out=part)
+    return result
