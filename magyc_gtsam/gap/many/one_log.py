@@ -100,12 +100,14 @@ class OneLog:
         """Fit the twelve parameters to a log.
 
         Raises:
-            MagycError: no gyroscope, data that cannot be calibrated, or in which nothing can be tested.
+            MagycError: no gyroscope, data that cannot be calibrated, or in which nothing can be tested; a stuck bit.
         """
         ready = Prepared.of(recording, names)
         reasons = ready.untestable()
         if reasons is not None:
             raise MagycError(reasons[0])
+        if ready.usable.bit is not None:
+            raise MagycError(ready.usable.bit.sentence)
         data, base, short_term = ready.recording, ready.base, ready.short_term
         white = fine_innovations(data, base.model).white
         if quantisation(data, white).significant:  # steps hide the noise between neighbouring samples
