@@ -29,8 +29,8 @@ class AlignmentLimits:
     Attributes:
         near: rad, heading error from which quadratics that are renewed still converge.
         sure: smallest probability of a heading error below `near` for the verdict "near".
-        far: smallest probability of a heading within `peak` of the best one for the verdict "far", where the best one
-            is not near.
+        far: smallest probability of a heading within `peak` of the best one for the verdict "far", where "near" is
+            not sure.
         peak: rad, half width of the interval around the best heading.
         apart: probability of "near" below which the graph's heading contradicts the blocks, even where they do not
             determine the heading yet.
@@ -83,7 +83,7 @@ class CoarseAlignment:
         self.limits = limits
         self.profile: HeadingProfile | None = None
         self._blocks: list[_Kept] = []
-        self._far = self.apart = 0
+        self._far = self.apart = self._judged = 0
 
     def __len__(self) -> int:
         return len(self._blocks)
@@ -109,8 +109,7 @@ class CoarseAlignment:
     @property
     def due(self) -> bool:
         """Whether a verdict is due: at each of the first 20 blocks, later each time they have grown by a tenth."""
-        n = len(self._blocks)
-        return n <= 20 or n % (n // 10) == 0
+        return len(self._blocks) <= 20 or len(self._blocks) >= 1.1 * self._judged
 
     @property
     def attitudes(self) -> list[int]:
@@ -137,6 +136,7 @@ class CoarseAlignment:
             point: values of the keys `needed`.
             mean, information: (9,) and (9, 9) of the prior on soft and hard iron.
         """
+        self._judged = len(self._blocks)
         rotations = [rotation_of(point, kept.details.attitude_key) for kept in self._blocks]
         last = self._blocks[-1].details
         if last.field_key is not None:
@@ -157,7 +157,8 @@ class CoarseAlignment:
         )
         limits, best = self.limits, self.profile.best
         near = self.profile.within(limits.near)
-        far = abs(best) > limits.near and self.profile.within(limits.peak, best) >= limits.far
+        # Also within `near` of the graph's heading: where that is 18 to 25° off, "near" is never sure.
+        far = self.profile.within(limits.peak, best) >= limits.far
         self._far = self._far + 1 if far and near < limits.sure else 0
         self.apart = self.apart + 1 if near < limits.apart else 0
         if near >= limits.sure:

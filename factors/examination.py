@@ -19,6 +19,11 @@ from magyc_gtsam.factors.variables import Array, key_name
 
 _EVERY = 4  # blocks between two checks of the variables that priors hold
 _QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
+_LEAST_SOFT_IRON = 0.1  # eigenvalue of a soft iron where the field is known; 0.8 to 1.2 in instruments
+_NEGATIVE = (
+    "check the axes of the world field (north-east-down or east-north-up), of the poses and of the mounting"
+)
+_NEARLY_ZERO = "the readings do not follow the field, as those of a dead, stuck or shielded sensor"
 _EARLY = 30  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
 
 
@@ -94,18 +99,17 @@ class Examiner:
             self._free_mounting(view, blocks)
 
     def check_soft_irons(self, blocks: Sequence[Delivered], view: View) -> None:
-        """Report the soft irons of these blocks that are not positive definite, which no magnetometer has."""
-        latest = {
-            each.details.soft_iron_key: each.details.block.time for each in blocks if each.details is not None
-        }
-        for key, time in latest.items():
+        """Report the soft irons of these blocks that no magnetometer has: not positive definite, or nearly zero."""
+        latest = {each.details.soft_iron_key: each.details for each in blocks if each.details is not None}
+        for key, details in latest.items():
             if view.exists(key):
                 least = float(np.linalg.eigvalsh(unvech(view.values([key]).atVector(key)))[0])
+                limit = 0.0 if details.field is None else _LEAST_SOFT_IRON  # its scale is known with the field
                 text = (
-                    f"soft iron {key_name(key)} with the eigenvalue {least:.2g}, which must be above 0: check the axes "
-                    "of the world field (north-east-down or east-north-up), of the poses and of the mounting"
+                    f"soft iron {key_name(key)} with the eigenvalue {least:.2g}, which must be above {limit:g}: "
                 )
-                self.monitor.hold(f"soft iron {key}", least <= 0, text, time)
+                text += _NEGATIVE if least <= 0 else _NEARLY_ZERO
+                self.monitor.hold(f"soft iron {key}", least <= limit, text, details.block.time)
 
     def spans_over(self) -> list[tuple[float, float]]:
         """Return (first, last) in s of each disturbance that has ended; each is returned once."""

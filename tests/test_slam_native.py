@@ -139,6 +139,26 @@ def test_a_soft_iron_with_a_negative_eigenvalue_is_inconsistent(way):
     assert "axes of the world field" in native.health.by
 
 
+@pytest.mark.parametrize("reading", [np.zeros(3), np.array([12e-6, -7e-6, 31e-6])])
+def test_a_sensor_that_reads_the_same_at_every_attitude_is_inconsistent(reading):
+    """Dead or stuck: a soft iron near zero and the hard iron explain it exactly."""
+    time = np.linspace(-1.0, 0.0, 20)
+    graph, values, native = gtsam.NonlinearFactorGraph(), gtsam.Values(), NativeFactors(alignment=None)
+    for k in range(12):
+        pose = gtsam.Rot3.Ypr(2.0 * k, 0.9 * np.sin(k), 0.9 * np.cos(3 * k))
+        block = KeyframeField.from_samples((time, np.tile(reading, (20, 1))), (time, np.zeros((20, 3))), 0.0)
+        graph.push_back(
+            keyframe_field_factor(X(k), A(0), H(0), block, 0.5e-6, field=[20e-6, 0.0, 45e-6], field_unit=50e-6)
+        )
+        graph.addPriorRot3(X(k), pose, ISOTROPIC(3, 0.01))
+        values.insert(X(k), pose)
+    values.insert(A(0), vech(np.eye(3)))
+    values.insert(H(0), np.zeros(3))
+    native.solve(graph, values)
+    assert native.health.status == "inconsistent"
+    assert "must be above" in native.health.by
+
+
 def turned_mounting(drive, angles):
     """The readings of a magnetometer whose mounting is turned by `angles` (3,) rad from what the blocks hold."""
     truth = drive.vehicle.simulation.truth
