@@ -13,11 +13,12 @@ from magyc_gtsam.factors import (
     HealthLimits,
     KeyframeField,
     MagycError,
+    alignment,
     keyframe_field_factor,
     unvech,
 )
 from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
-from magyc_gtsam.factors.chain.heading_profile import block_rows, heading_profile, in_world
+from magyc_gtsam.factors.chain.heading_profile import HeadingProfile, block_rows, heading_profile, in_world
 from magyc_gtsam.factors.delivered import sorted_factors
 from magyc_gtsam.factors.guard import factor_details
 from magyc_gtsam.factors.health import BlockFit, Monitor, block_fit
@@ -288,11 +289,13 @@ def test_the_profile_excludes_headings_that_need_a_negative_soft_iron():
     assert profile.probability.sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("off", "verdict"), [(0.0, HeadingVerdict.NEAR), (2.8, HeadingVerdict.APART)])
-def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(off, verdict):
-    """A vague prior of the irons: two blocks in a turn allow many headings, but not the graph's own."""
+_VAGUE = (np.r_[1, 0, 0, 1, 0, 1, 0, 0, 0.0], np.diag(np.r_[np.full(6, 1 / 0.2**2), np.full(3, 1 / 40**2)]))
+
+
+def two_blocks_in_a_turn(off):
+    """A coarse alignment with two blocks, and the graph's values at a heading that is `off` rad wrong."""
     time, turn = np.linspace(0, 2, 51), 1.2
-    alignment, values = CoarseAlignment(AlignmentLimits()), gtsam.Values()
+    aligned, values = CoarseAlignment(AlignmentLimits()), gtsam.Values()
     for k in range(2):
         rotation = gtsam.Rot3.Ypr(0.3 + 2 * turn * k, 0.3 - 0.5 * k, 0.2)
         body = Rotation.from_rotvec(-turn * (time - 2.0)[:, None] * rotation.matrix()[2]).as_matrix()
@@ -300,10 +303,27 @@ def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(o
         rate = np.tile(turn * rotation.matrix()[2], (51, 1))
         block = KeyframeField.from_samples((time, field), (time, rate), 2.0)
         factor = keyframe_field_factor(X(k), A(0), H(0), block, 0.3e-6, field=1e-6 * FIELD)
-        alignment.add(factor_details(factor))
+        aligned.add(factor_details(factor))
         values.insert(X(k), gtsam.Rot3.Rz(-off) * rotation)
-    vague = np.diag(np.r_[np.full(6, 1 / 0.2**2), np.full(3, 1 / 40**2)])
-    assert alignment.judge(values, np.r_[1, 0, 0, 1, 0, 1, 0, 0, 0.0], vague) is verdict
+    return aligned, values
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(0.0, HeadingVerdict.NEAR), (2.8, HeadingVerdict.APART)])
+def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(off, verdict):
+    """A vague prior of the irons: two blocks in a turn allow many headings, but not the graph's own."""
+    aligned, values = two_blocks_in_a_turn(off)
+    assert aligned.judge(values, *_VAGUE) is verdict
+
+
+def test_a_heading_at_the_edge_of_near_is_turned_as_one_that_is_far(monkeypatch):
+    """The best heading is 23° off: nearer than 25°, but never surely so. Blocks waited for minutes or for ever."""
+    angle = np.radians(np.arange(-180.0, 180.0, 2.0))
+    probability = np.exp(-0.5 * ((angle + np.radians(23)) / np.radians(6)) ** 2)
+    profile = HeadingProfile(angle, probability / probability.sum())
+    monkeypatch.setattr(alignment, "heading_profile", lambda *_: profile)
+    aligned, values = two_blocks_in_a_turn(0.4)
+    verdicts = [aligned.judge(values, *_VAGUE) for _ in range(3)]
+    assert verdicts == [HeadingVerdict.UNDECIDED, HeadingVerdict.UNDECIDED, HeadingVerdict.FAR]
 
 
 def test_quadratics_are_looked_at_until_they_are_settled():
