@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import A, H, X
 
-from magyc_gtsam.factors import KeyframeField, NativeFactors, keyframe_field_factor, vech
+from magyc_gtsam.factors import (
+    KeyframeField,
+    NativeFactors,
+    keyframe_field_factor,
+    magnetometer_factor,
+    vech,
+)
 from magyc_gtsam.runners import Status, optimize
 
 FIELD, UNIT, SIGMA = np.array([21e-6, 3e-6, 44e-6]), 50e-6, 0.5e-6
@@ -89,3 +95,77 @@ def test_a_batch_ends_at_the_better_of_the_turned_and_the_given_start(monkeypatc
     assert solved.error(values) == pytest.approx(
         graph.error(values), rel=1e-6
     )  # the kernels' width is its own too
+
+
+def small(calibration="weak", poses=6):
+    """Poses that are known well, a block at each, and a calibration whose priors are weak or hold exactly."""
+    graph, values, time = gtsam.NonlinearFactorGraph(), gtsam.Values(), np.linspace(-1.0, 0.0, 11)
+    if calibration == "equal":
+        graph.push_back(gtsam.PriorFactorVector(A(0), vech(SOFT_IRON), gtsam.noiseModel.Constrained.All(6)))
+        graph.push_back(gtsam.NonlinearEqualityPoint3(H(0), HARD_IRON))
+    else:
+        sigmas = np.full(6, 0.3 if calibration == "weak" else 0.0)
+        graph.addPriorVector(A(0), vech(SOFT_IRON), gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+        graph.addPriorPoint3(H(0), HARD_IRON, gtsam.noiseModel.Diagonal.Sigmas(sigmas[:3]))
+    values.insert(A(0), vech(SOFT_IRON))
+    values.insert(H(0), HARD_IRON)
+    for k in range(poses):
+        attitude = gtsam.Rot3.Ypr(1.1 * k, 0.5 * np.sin(k), 0.4 * np.cos(2 * k))
+        graph.addPriorRot3(X(k), attitude, gtsam.noiseModel.Isotropic.Sigma(3, 0.05))
+        values.insert(X(k), attitude)
+        field = np.tile(SOFT_IRON @ attitude.unrotate(FIELD) + HARD_IRON * UNIT, (11, 1))
+        block = KeyframeField.from_samples((time, field), (time, np.zeros((11, 3))), 0.0)
+        graph.push_back(keyframe_field_factor(X(k), A(0), H(0), block, SIGMA, field=FIELD, field_unit=UNIT))
+    return graph, values
+
+
+def taken(way, graph, values):
+    """The values after a batch or an update."""
+    if way == "solve":
+        return NativeFactors().solve(graph, values)[1]
+    isam = gtsam.ISAM2()
+    NativeFactors().update(isam, graph, values)
+    return isam.calculateEstimate()
+
+
+@pytest.mark.parametrize("way", ["solve", "update"])
+@pytest.mark.parametrize("calibration", ["constrained", "equal"])
+def test_a_calibration_may_be_held_exactly(way, calibration):
+    graph, values = small(calibration)
+    values = taken(way, graph, values)
+    assert values.atVector(A(0)) == pytest.approx(vech(SOFT_IRON), abs=1e-6)
+    assert values.atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-6)
+
+
+def test_a_calibration_may_be_held_exactly_before_its_first_block():
+    graph, values = small("constrained")
+    first, start = gtsam.NonlinearFactorGraph(), values.extract([A(0), H(0)])
+    first.push_back(graph.at(0))
+    first.push_back(graph.at(1))
+    graph.remove(0)
+    graph.remove(1)
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    native, isam = NativeFactors(), gtsam.ISAM2(parameters)
+    native.update(isam, first, start)
+    native.update(isam, graph, values.extract([X(k) for k in range(6)]))
+    assert isam.calculateEstimate().atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-6)
+
+
+@pytest.mark.parametrize("way", ["solve", "update"])
+def test_a_graph_may_have_slots_that_are_empty(way):
+    graph, values = small()
+    graph.remove(4)
+    graph.remove(5)
+    assert taken(way, graph, values).atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-3)
+
+
+def test_a_batch_that_is_turned_may_end_with_another_factor_than_a_block():
+    graph, values = small()
+    turned = gtsam.Values(values)
+    for k in range(6):
+        turned.update(X(k), gtsam.Rot3.Rz(2.8) * values.atRot3(X(k)))
+    reading = SOFT_IRON @ values.atRot3(X(0)).unrotate(FIELD) + HARD_IRON * UNIT
+    graph.push_back(magnetometer_factor(X(0), A(0), H(0), reading, 1e-6, field=FIELD, field_unit=UNIT))
+    found = NativeFactors().solve(graph, turned)[1]
+    assert found.atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-3)
