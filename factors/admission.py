@@ -208,6 +208,12 @@ class AdmissionControl:
             (self._values if key in used else result).erase(key)
         return result
 
+    def placed(self, slot: int) -> None:
+        """Record the slot of the prior that turns the graph; −1 where its attitude has already left the solver."""
+        self.pull_slot = slot
+        if slot < 0:
+            self.pull = None
+
     def forget(self, view: View) -> None:
         """Remove the factors on keys that have left the solver."""
         self.waiting = [each for each in self.waiting if all(map(view.exists, each.factor.keys()))]

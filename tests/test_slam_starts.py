@@ -7,11 +7,14 @@ from gtsam.symbol_shorthand import A, H, X
 
 from magyc_gtsam.factors import (
     KeyframeField,
+    MagycError,
     NativeFactors,
     keyframe_field_factor,
     magnetometer_factor,
+    robust_noise,
     vech,
 )
+from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.runners import Status, optimize
 
 FIELD, UNIT, SIGMA = np.array([21e-6, 3e-6, 44e-6]), 50e-6, 0.5e-6
@@ -169,3 +172,53 @@ def test_a_batch_that_is_turned_may_end_with_another_factor_than_a_block():
     graph.push_back(magnetometer_factor(X(0), A(0), H(0), reading, 1e-6, field=FIELD, field_unit=UNIT))
     found = NativeFactors().solve(graph, turned)[1]
     assert found.atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-3)
+
+
+@pytest.mark.parametrize("way", ["solve", "update"])
+def test_a_value_that_is_not_finite_is_named(way):
+    graph, values = small(poses=2)
+    values.update(H(0), np.array([np.nan, 0.0, 0.0]))
+    with pytest.raises(MagycError, match="value of h0 is not finite; insert numbers"):
+        taken(way, graph, values)
+
+
+@pytest.mark.parametrize("alignment", [None, AlignmentLimits()])
+def test_a_block_whose_keyframe_leaves_in_its_own_update_is_dropped(alignment):
+    graph, values = small(poses=2)
+    late = graph.at(3)  # the block at the first pose
+    graph.remove(3)
+    native, smoother = NativeFactors(alignment=alignment), gtsam.BatchFixedLagSmoother(5.0)
+    native.update(smoother, graph, values, dict.fromkeys(values.keys(), 0.0))
+    held = len(native)
+    more, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    more.push_back(late)
+    more.addPriorRot3(X(9), gtsam.Rot3(), gtsam.noiseModel.Isotropic.Sigma(3, 0.05))
+    new.insert(X(9), gtsam.Rot3())
+    native.update(smoother, more, new, {X(9): 6.0, X(1): 6.0, A(0): 6.0, H(0): 6.0})
+    assert not smoother.calculateEstimate().exists(X(0))
+    native.update(smoother, gtsam.NonlinearFactorGraph(), gtsam.Values(), {})
+    assert len(native) == held
+    assert native.settle(smoother) < 20
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"alignment": False}, "`alignment` is a bool; give AlignmentLimits.., or None"),
+        ({"alignment": True}, "`alignment` is a bool"),
+        ({"health": False}, "`health` is a bool; give HealthLimits.., or None"),
+        ({"recent": "a"}, "recent 'a'; it must be a whole number"),
+        ({"recent": 2.5}, "recent 2.5; it must be a whole number"),
+        ({"recent": 0}, "recent 0; .* at least 1 block"),
+        ({"quadratic": "no"}, "quadratic 'no'; give True or False"),
+    ],
+)
+def test_options_of_another_kind_are_refused(options, message):
+    with pytest.raises(MagycError, match=message):
+        NativeFactors(**options)
+
+
+@pytest.mark.parametrize("dimension", [3.0, 0, True])
+def test_robust_noise_needs_a_number_of_rows(dimension):
+    with pytest.raises(MagycError, match="dimension .* whole number of rows"):
+        robust_noise("huber", 1.0, dimension, tuning=1.3)
