@@ -93,6 +93,8 @@ class KeyframeBuffer:
             raise MagycError("keyframe field: no gyroscope sample; close a block after the first ones")
         first = int(np.searchsorted(self._field_time, self._rate_time[0]))
         cut = int(np.searchsorted(self._field_time, self._rate_time[-1], side="right"))
+        if first >= cut:
+            self._drop_old_rates()
         block = KeyframeField.from_samples(
             (np.array(self._field_time[first:cut]), np.array(self._field[first:cut]).reshape(-1, 3)),
             (np.array(self._rate_time), np.array(self._rate)),
@@ -108,6 +110,12 @@ class KeyframeBuffer:
             keep = min(keep, max(int(np.searchsorted(self._rate_time, self._field_time[0])) - 1, 0))
         del self._rate_time[:keep], self._rate[:keep]
         return block
+
+    def _drop_old_rates(self) -> None:
+        """Drop the gyroscope samples that no magnetometer sample will need that is still to come."""
+        start = self._rate_time[-1] - LIMITS.delay
+        keep = max(int(np.searchsorted(self._rate_time, start, side="right")) - 1, 0)
+        del self._rate_time[:keep], self._rate[:keep]
 
 
 def _usual(time: ArrayLike, value: ArrayLike, limit: float) -> tuple[float, list[float]] | None:
