@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -242,7 +243,7 @@ def _calibration_before(
     if not any(map(view.new.exists, keys)):
         covariance = view.covariance(keys)
         if covariance is not None:
-            known = np.linalg.inv(covariance + np.diag((_HELD / unit) ** 2))
+            known = np.linalg.inv(covariance)
             return np.linalg.solve(information + known, right + known @ start), information + known
     priors = gtsam.NonlinearFactorGraph()
     for i in range(graph.size()):
@@ -280,6 +281,7 @@ def _without_constraints(
             sigmas = np.maximum(factor.get_model().sigmas(), _HELD * scale)
             blocks = np.split(rows, np.cumsum([part.stop - part.start for part in own])[:-1], axis=1)
             terms = [each for pair in zip(factor.keys(), blocks, strict=True) for each in pair]
-            factor = gtsam.JacobianFactor(*terms, right, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+            made: Any = gtsam.JacobianFactor  # of one term or of two
+            factor = made(*terms, right, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
         result.push_back(factor)
     return result

@@ -20,7 +20,8 @@ from magyc_gtsam.factors.variables import Array
 class KeyframeBuffer:
     """Collects the samples of both sensors as they arrive and cuts a block at each keyframe.
 
-    A sample that is refused is not added, so that an application may catch the error and go on.
+    A sample that is refused is not added, so that an application may catch the error and go on. While there is no
+    magnetometer sample, `close` keeps the rates of the last 10 s only.
 
     Args:
         body_R_sensor: magnetometer→body.
@@ -28,7 +29,7 @@ class KeyframeBuffer:
         interval_mean: whether the rates are means since the previous stamp.
 
     Raises:
-        MagycError: a mounting that is no rotation, or a delay that is no number.
+        MagycError: a mounting that is no rotation, or a delay that is no number or longer than 10 s.
     """
 
     def __init__(

@@ -101,8 +101,8 @@ class KeyframeField:
             interval_mean: the rates are means since the previous stamp instead.
 
         Raises:
-            MagycError: wrong shapes or units, values that are not finite, a gyroscope that does not cover the block or
-                pauses at the keyframe.
+            MagycError: wrong shapes or units (stamps too), values that are not finite, a gyroscope that does
+                not cover the block or pauses at the keyframe.
         """
         check_delay("keyframe field", delay)
         when = measured("magnetometer time", magnetometer[0], (None,)) - delay
