@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -17,6 +18,7 @@ from magyc_gtsam.factors.variables import Array, choose, vector
 _WEAK_PRIOR = np.diag(
     np.r_[np.full(6, 1 / 0.5**2), np.full(3, 1.0)]
 )  # information on soft iron and on hard iron, the latter relative to the field
+_HELD = 1e-6  # standard deviation, relative to the field, of a calibration that a constraint holds
 _NO_IRON = np.r_[1.0, 0, 0, 1, 0, 1, 0, 0, 0]
 
 Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
@@ -139,7 +141,9 @@ class AdmissionControl:
         prior = _calibration_before(View(values), graph, alignment.last)
         for _ in range(alignment.limits.persistence):
             verdict = alignment.judge(values, *prior)
-        return self._turned(graph, values, fresh[-1], optimize) if verdict is HeadingVerdict.FAR else values
+        if verdict is not HeadingVerdict.FAR:
+            return values
+        return self._turned(graph, values, alignment.last, optimize)
 
     def _sure(self, view: View, point: gtsam.Values, key: int) -> bool:
         """Whether the graph's own heading is certain enough, at the last pose that the solver holds."""
@@ -156,17 +160,16 @@ class AdmissionControl:
         self,
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
-        last: Delivered,
+        last: BlockDetails,
         optimize: Optimize,
     ) -> gtsam.Values:
         """Return the values of a batch after optimising its other factors with a prior on the heading."""
         assert self._alignment is not None
-        assert last.details is not None
         turning = gtsam.NonlinearFactorGraph()
         turning.push_back(graph)
-        turning.push_back(self._alignment.pull(values, last.details.attitude_key))
+        turning.push_back(self._alignment.pull(values, last.attitude_key))
         loose = gtsam.noiseModel.Isotropic.Sigma
-        for key in {last.details.soft_iron_key, last.details.hard_iron_key} - set(turning.keyVector()):
+        for key in {last.soft_iron_key, last.hard_iron_key} - set(turning.keyVector()):
             turning.addPriorVector(key, values.atVector(key), loose(values.atVector(key).size, 1.0))
         known = set(turning.keyVector())
         start = gtsam.Values(values)
@@ -206,6 +209,12 @@ class AdmissionControl:
             (self._values if key in used else result).erase(key)
         return result
 
+    def placed(self, slot: int) -> None:
+        """Record the slot of the prior that turns the graph; −1 where its attitude has already left the solver."""
+        self.pull_slot = slot
+        if slot < 0:
+            self.pull = None
+
     def forget(self, view: View) -> None:
         """Remove the factors on keys that have left the solver."""
         self.waiting = [each for each in self.waiting if all(map(view.exists, each.factor.keys()))]
@@ -238,14 +247,41 @@ def _calibration_before(
             return np.linalg.solve(information + known, right + known @ start), information + known
     priors = gtsam.NonlinearFactorGraph()
     for i in range(graph.size()):
-        if set(graph.at(i).keys()) <= set(keys):
+        if graph.exists(i) and set(graph.at(i).keys()) <= set(keys):
             priors.push_back(graph.at(i))
     if priors.size() and set(priors.keyVector()) == set(keys):
         ordering = gtsam.Ordering()
         for key in keys:
             ordering.push_back(key)
-        known, gradient = priors.linearize(point).hessian(ordering)
+        known, gradient = _without_constraints(priors.linearize(point), keys, unit).hessian(ordering)
         information, right = information + known, right + gradient + known @ start
     else:
         information, right = 1e3 * information, 1e3 * right
     return np.linalg.solve(information, right), information
+
+
+def _without_constraints(
+    linear: gtsam.GaussianFactorGraph, keys: Sequence[int], unit: Array
+) -> gtsam.GaussianFactorGraph:
+    """Return a graph in which rows that must hold exactly, which have no information, have a very large one.
+
+    Args:
+        linear: factors on soft and hard iron.
+        keys: those of soft and hard iron.
+        unit: (9,) factor of each component of both that makes it relative to the field.
+    """
+    result = gtsam.GaussianFactorGraph()
+    parts = dict(zip(keys, (slice(0, 6), slice(6, 9)), strict=True))
+    for i in range(linear.size()):
+        factor = linear.at(i)
+        if isinstance(factor, gtsam.JacobianFactor) and factor.isConstrained():
+            rows, right = factor.jacobianUnweighted()
+            own = list(map(parts.__getitem__, factor.keys()))
+            scale = np.linalg.norm(rows / np.concatenate([unit[part] for part in own]), axis=1)
+            sigmas = np.maximum(factor.get_model().sigmas(), _HELD * scale)
+            blocks = np.split(rows, np.cumsum([part.stop - part.start for part in own])[:-1], axis=1)
+            terms = [each for pair in zip(factor.keys(), blocks, strict=True) for each in pair]
+            made: Any = gtsam.JacobianFactor  # of one term or of two
+            factor = made(*terms, right, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+        result.push_back(factor)
+    return result

@@ -228,7 +228,7 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
         return Sorted(graph, fresh, holding)
     others = gtsam.NonlinearFactorGraph()
     for i in range(graph.size()):
-        if i not in own:
+        if i not in own and graph.exists(i):
             others.push_back(graph.at(i))
     return Sorted(others, fresh, holding)
 

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import is_finite, is_positive, numbers, real_array
+from magyc_gtsam.factors.units import check_lag
 from magyc_gtsam.factors.variables import Array, Variable, key_name, reader
 
 Residual = tuple[Array, Sequence[Array]]
@@ -183,9 +184,10 @@ def check_kind(name: str, value: Any, kind: type, source: str) -> None:
 
 
 def check_delay(name: str, delay: Any) -> None:
-    """Raise a MagycError unless a delay is a finite number."""
+    """Raise a MagycError unless a delay is a finite number of s, and no longer than a magnetometer's."""
     if not is_finite(delay):
         raise MagycError(f"{name}: delay {delay!r:.40}; it must be a finite number of s")
+    check_lag(name, delay)
 
 
 def measured(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:

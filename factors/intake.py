@@ -7,16 +7,50 @@ from contextlib import contextmanager
 from typing import Any
 
 import gtsam
+import numpy as np
 
+from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import check_kind
+from magyc_gtsam.factors.health import HealthLimits
+from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.variables import key_name
 
 
-def expect_problem(graph: object, values: object) -> None:
-    """Raise an error unless these are a graph and values."""
+def expect_problem(graph: object, values: Any) -> None:
+    """Raise an error unless these are a graph and values, all of them finite."""
     check_kind("native factors: `graph`", graph, gtsam.NonlinearFactorGraph, "a gtsam.NonlinearFactorGraph")
     check_kind("native factors: `values`", values, gtsam.Values, "the gtsam.Values of the variables")
+    if not np.isfinite(values.localCoordinates(values).vector()).all():
+        _refuse_not_finite(values)
+
+
+def _refuse_not_finite(values: gtsam.Values) -> None:
+    """Raise an error that names the variables that are not finite."""
+    zero = values.localCoordinates(values)
+    wrong = [key_name(key) for key in list(values.keys()) if not np.isfinite(zero.at(key)).all()]
+    raise MagycError(
+        f"native factors: the value of {', '.join(wrong[:5])}{' and others' if len(wrong) > 5 else ''} is not finite; "
+        "insert numbers, for example from the last estimate"
+    )
+
+
+def expect_options(
+    tolerance: object, growth: Any, recent: Any, quadratic: object, alignment: object, health: object
+) -> None:
+    """Raise an error unless the options of `NativeFactors` are of their kinds and inside their limits."""
+    if not (is_positive(tolerance) and is_positive(growth) and growth > 1):
+        raise MagycError(f"native factors: tolerance {tolerance!r} must be above 0, growth {growth!r} above 1")
+    if not isinstance(recent, int | np.integer) or isinstance(recent, bool) or recent < 1:
+        raise MagycError(
+            f"native factors: recent {recent!r:.40}; it must be a whole number of blocks, and at least 1 block must "
+            "be checked"
+        )
+    if not isinstance(quadratic, bool | np.bool_):
+        raise MagycError(f"native factors: quadratic {quadratic!r:.40}; give True or False")
+    for name, limits, kind in (("alignment", alignment, AlignmentLimits), ("health", health, HealthLimits)):
+        if limits is not None:
+            check_kind(f"native factors: `{name}`", limits, kind, f"{kind.__name__}(), or None to switch it off")
 
 
 def expect_values(keys: Iterable[int], exists: Callable[[int], bool]) -> None:

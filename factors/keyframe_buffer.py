@@ -20,7 +20,8 @@ from magyc_gtsam.factors.variables import Array
 class KeyframeBuffer:
     """Collects the samples of both sensors as they arrive and cuts a block at each keyframe.
 
-    A sample that is refused is not added, so that an application may catch the error and go on.
+    A sample that is refused is not added, so that an application may catch the error and go on. While there is no
+    magnetometer sample, `close` keeps the rates of the last 10 s only.
 
     Args:
         body_R_sensor: magnetometer→body.
@@ -28,7 +29,7 @@ class KeyframeBuffer:
         interval_mean: whether the rates are means since the previous stamp.
 
     Raises:
-        MagycError: a mounting that is no rotation, or a delay that is no number.
+        MagycError: a mounting that is no rotation, or a delay that is no number or longer than 10 s.
     """
 
     def __init__(
@@ -93,6 +94,8 @@ class KeyframeBuffer:
             raise MagycError("keyframe field: no gyroscope sample; close a block after the first ones")
         first = int(np.searchsorted(self._field_time, self._rate_time[0]))
         cut = int(np.searchsorted(self._field_time, self._rate_time[-1], side="right"))
+        if first >= cut:
+            self._drop_old_rates()
         block = KeyframeField.from_samples(
             (np.array(self._field_time[first:cut]), np.array(self._field[first:cut]).reshape(-1, 3)),
             (np.array(self._rate_time), np.array(self._rate)),
@@ -108,6 +111,12 @@ class KeyframeBuffer:
             keep = min(keep, max(int(np.searchsorted(self._rate_time, self._field_time[0])) - 1, 0))
         del self._rate_time[:keep], self._rate[:keep]
         return block
+
+    def _drop_old_rates(self) -> None:
+        """Drop the gyroscope samples that no magnetometer sample will need that is still to come."""
+        start = self._rate_time[-1] - LIMITS.delay
+        keep = max(int(np.searchsorted(self._rate_time, start, side="right")) - 1, 0)
+        del self._rate_time[:keep], self._rate[:keep]
 
 
 def _usual(time: ArrayLike, value: ArrayLike, limit: float) -> tuple[float, list[float]] | None:

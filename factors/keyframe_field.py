@@ -36,7 +36,7 @@ from magyc_gtsam.factors.guard import check_delay, measured
 from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.pose import sensor_rotation
-from magyc_gtsam.factors.units import check_rates, check_readings
+from magyc_gtsam.factors.units import check_rates, check_readings, check_steps
 from magyc_gtsam.factors.variables import Array
 
 _DELAY = 12  # first column of y that depends on the delay
@@ -101,8 +101,8 @@ class KeyframeField:
             interval_mean: the rates are means since the previous stamp instead.
 
         Raises:
-            MagycError: wrong shapes or units, values that are not finite, a gyroscope that does not cover the block or
-                pauses at the keyframe.
+            MagycError: wrong shapes or units (stamps too), values that are not finite, a gyroscope that does
+                not cover the block or pauses at the keyframe.
         """
         check_delay("keyframe field", delay)
         when = measured("magnetometer time", magnetometer[0], (None,)) - delay
@@ -128,6 +128,7 @@ class KeyframeField:
                 f"keyframe field from {start:.3f} to {end:.3f} s needs ascending gyroscope samples across it, "
                 f"got {covered}; add the gyroscope's samples up to the one after the keyframe first"
             )
+        check_steps("keyframe field", time)
         near = _without_pause(keyframe, when, time)
         when, field = when[near], field[near]
         turn, lever, spin, spread = _about(keyframe, when, time, rate, b, interval_mean)

@@ -25,11 +25,9 @@ from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.factors.batch import best_solution, minimum
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
-from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
-from magyc_gtsam.factors.intake import expect_problem, expect_values, unchanged_on_error
-from magyc_gtsam.factors.numbers import is_positive
+from magyc_gtsam.factors.intake import expect_options, expect_problem, expect_values, unchanged_on_error
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver, with_factors
 from magyc_gtsam.factors.staleness import Staleness
@@ -71,10 +69,7 @@ class NativeFactors:
         alignment: AlignmentLimits | None = AlignmentLimits(),  # noqa: B008 (frozen)
         health: HealthLimits | None = HealthLimits(),  # noqa: B008 (frozen)
     ) -> None:
-        if not (is_positive(tolerance) and is_positive(growth) and growth > 1):
-            raise MagycError(f"native factors: tolerance {tolerance!r} must be above 0, growth {growth!r} above 1")
-        if recent < 1:
-            raise MagycError(f"native factors: recent {recent}; at least 1 block must be checked")
+        expect_options(tolerance, growth, recent, quadratic, alignment, health)
         self.tolerance, self.quadratic = tolerance, quadratic
         self.replaced = 0
         self.withdrawn = 0
@@ -253,7 +248,7 @@ class NativeFactors:
         if examiner is not None and entering and self._admission.entered:
             if len(entering) > len(fresh):
                 examiner.settling()
-            examiner.judge(entering, View(solver), self._delivered)
+            examiner.judge([each for each in entering if each.slot >= 0], View(solver), self._delivered)
         return result
 
     def _forget(self, view: View) -> None:
@@ -295,6 +290,8 @@ class NativeFactors:
         turning = [] if pull is None else [pull]
         slots = new_slots(solver, result, turning + [each.native for each in placed])
         if pull is not None:
-            self._admission.pull_slot = slots.pop(0)
+            self._admission.placed(slots.pop(0))
         for each, slot in zip(placed, slots, strict=True):
             each.slot = slot
+        if -1 in slots:  # an attitude that left a smoother in this very update
+            self._delivered = [each for each in self._delivered if each.slot >= 0]

@@ -23,7 +23,14 @@ from magyc_gtsam.factors.chain.rotations import exponential_matrices, skew
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Noise, Residual, check_delay, check_kind, custom_factor, measured
-from magyc_gtsam.factors.units import check_field, check_noise, check_rates, check_readings, check_unit
+from magyc_gtsam.factors.units import (
+    check_field,
+    check_model,
+    check_noise,
+    check_rates,
+    check_readings,
+    check_unit,
+)
 from magyc_gtsam.factors.variables import Array, Variable, attitude, direction, mounting, scalar, vector
 
 MICROTESLA = 1e-6
@@ -91,11 +98,20 @@ def given_keys(*pairs: tuple[int | None, Variable]) -> list[tuple[int, Variable]
 
 
 def in_unit(name: str, noise: Noise, field_unit: float) -> Noise:
-    """Check a standard deviation in T and return it in `field_unit`; return a noise model unchanged."""
+    """Check a standard deviation in T and return it in `field_unit`; check a noise model, which is in `field_unit`."""
     if isinstance(noise, gtsam.noiseModel.Base):
+        check_model(name, _sigmas(noise) * field_unit)
         return noise
     check_noise(name, noise)
     return noise / field_unit
+
+
+def _sigmas(noise: gtsam.noiseModel.Base) -> Array:
+    """Return the standard deviations of a noise model; of a robust one those that it weighs."""
+    inner = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
+    if isinstance(inner, gtsam.noiseModel.Diagonal):
+        return np.asarray(inner.sigmas())
+    return np.sqrt(np.diag(inner.covariance())) if isinstance(inner, gtsam.noiseModel.Gaussian) else np.empty(0)
 
 
 def magnetometer_factor(

@@ -7,6 +7,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import standard_deviation
 from magyc_gtsam.factors.kernels import tuning_constant
 
@@ -24,6 +25,10 @@ def robust_noise(
         dimension: rows of the residual.
         tuning: the kernel's constant in whitened units; default 95 % efficiency.
     """
+    if not isinstance(dimension, int | np.integer) or isinstance(dimension, bool) or dimension < 1:
+        raise MagycError(
+            f"robust noise: dimension {dimension!r:.40}; it must be a whole number of rows, at least 1"
+        )
     k, sigma = tuning_constant(name, dimension, tuning), standard_deviation(sigma)
     estimators = gtsam.noiseModel.mEstimator
     if name == "l1":  # GTSAM does not wrap L1; Huber(e/√k; √k) is the same function

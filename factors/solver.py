@@ -140,11 +140,11 @@ def predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
 
 
 def new_slots(solver: Solver, result: Any, last: Sequence[gtsam.NonlinearFactor]) -> list[int]:
-    """Return the slots of the last factors that an update added, in their order."""
+    """Return the slots of the last factors that an update added, in their order; −1 for one that has already left."""
     if isinstance(solver, gtsam.BatchFixedLagSmoother):  # its result does not contain them
         factors = solver.getFactors()
         held = [(i, factors.at(i)) for i in range(factors.size()) if factors.exists(i)]
-        return [next(i for i, factor in reversed(held) if factor is each) for each in last]
+        return [next((i for i, factor in reversed(held) if factor is each), -1) for each in last]
     done = result if isinstance(solver, gtsam.ISAM2) else solver.getISAM2Result()
     slots = list(done.getNewFactorsIndices())
     return slots[len(slots) - len(last) :]

@@ -21,12 +21,14 @@ class LargestValues:
         field: T, strength of the world's field. The Earth's is 22 to 67 µT; the margin allows for a field beside
             steel.
         noise: T, standard deviation of a magnetometer sample: from a fluxgate to a phone beside its battery.
+        model: T, standard deviations of a noise model, which may be wide so that its rows count little.
         reading: T, largest magnetometer reading; a hard iron of ten times the field stays far below it.
         rate: rad/s, twice the range of the fastest common gyroscopes (2000 deg/s).
         rate_noise: rad/s, standard deviation of a gyroscope sample.
         unit: T per unit of a key: from the picotesla of an observatory to graphs in SI.
         turn: rad, standard deviation of a mounting; from a quarter turn on it says nothing.
         delay: s, of the magnetometer; longer than any filter or radio link.
+        gyroscope_step: s between two gyroscope samples; the slowest logs have several per second.
         delay_sigma: s, standard deviation of a delay that is a variable; a block lasts about as long.
         bias_walk: rad/s per √hour; it allows a gyroscope to change by 9 deg/s within a second.
         elapsed: s between two nodes, 32 years; below any present time stamp in s since 1970.
@@ -34,12 +36,14 @@ class LargestValues:
 
     field: tuple[float, float] = (8e-6, 175e-6)
     noise: tuple[float, float] = (1e-9, 10e-6)
+    model: tuple[float, float] = (1e-9, 1e-3)
     reading: float = 10e-3
     rate: float = 70.0
     rate_noise: float = 0.5
     unit: tuple[float, float] = (1e-12, 1.0)
     turn: float = math.pi / 2
     delay: float = 10.0
+    gyroscope_step: float = 0.5
     delay_sigma: float = 1.0
     bias_walk: float = 10.0
     elapsed: float = 1e9
@@ -47,6 +51,7 @@ class LargestValues:
 
 LIMITS = LargestValues()
 _SCALES = {"µT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "milligauss": 1e-7}
+_MILLISECONDS = "likely unit: ms; give it in s"
 _ROUNDING = 1e-9  # relative margin, so that the limits themselves are allowed
 
 
@@ -116,11 +121,38 @@ def check_turn(name: str, sigma: float) -> None:
     )
 
 
+def check_lag(name: str, delay: float) -> None:
+    """Raise an error for a delay in s that is likely in ms."""
+    _check_largest(f"{name}: delay", delay, LIMITS.delay, "s", _MILLISECONDS)
+
+
 def check_late(name: str, delay: float, sigma: float) -> None:
     """Raise an error for a delay and its standard deviation, in s, that are likely in ms."""
-    remedy = "likely unit: ms; give it in s"
-    _check_largest(f"{name}: delay", delay, LIMITS.delay, "s", remedy)
-    _check_largest(f"{name}: standard deviation", sigma, LIMITS.delay_sigma, "s", remedy)
+    check_lag(name, delay)
+    _check_largest(f"{name}: standard deviation", sigma, LIMITS.delay_sigma, "s", _MILLISECONDS)
+
+
+def check_steps(name: str, time: Array) -> None:
+    """Raise an error for ascending stamps (n,) of a gyroscope, in s, that are likely in another unit."""
+    step = float(np.diff(time).min()) if len(time) > 1 else 0.0
+    if step > LIMITS.gyroscope_step:
+        raise MagycError(
+            f"{name}: the closest gyroscope samples are {step:.4g} s apart; it must be at most "
+            f"{LIMITS.gyroscope_step:g} s; likely unit: ms, µs or ns; give all stamps in s"
+        )
+
+
+def check_model(name: str, sigmas: Array) -> None:
+    """Raise an error for standard deviations (n,) of a noise model, in T, that are likely in another unit than its
+    own; 0 stands for a row that holds exactly.
+    """
+    low, high = LIMITS.model
+    wrong = sigmas[(sigmas != 0) & ~((sigmas >= low * (1 - _ROUNDING)) & (sigmas <= high * (1 + _ROUNDING)))]
+    if len(wrong):
+        raise MagycError(
+            f"{name}: a noise model of {wrong[0]:.4g} T; it must be between 1 nT and 1 mT; a model is in "
+            "`field_unit`, which is µT by default: divide its standard deviations in T by `field_unit`"
+        )
 
 
 def check_bias_walk(name: str, sigma: Array) -> None:

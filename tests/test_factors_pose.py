@@ -102,7 +102,7 @@ FACTORS = {
     "mounting and delay": lambda: magnetometer_factor(
         R, A, H, MEASURED * 1e-6, 1e-6, field_key=F, mounting_key=M, delay_key=T, angular_rate=[0.3, -0.8, 1.1]
     ),
-    "another unit": lambda: magnetometer_factor(R, A, H, MEASURED * 1e-6, UNIT, field_key=F, field_unit=1.0),
+    "another unit": lambda: magnetometer_factor(R, A, H, MEASURED * 1e-6, UNIT, field_key=F, field_unit=1e-3),
     "scaled": lambda: scaled_magnetometer_factor(D, S, H, MEASURED * 1e-6, ROTATION, 1e-6, body_R_sensor=MOUNTING),
 }
 

@@ -20,7 +20,9 @@ from magyc_gtsam.factors import (
     field_chain_factor,
     hard_iron_walk,
     keyframe_field_factor,
+    magnetometer_factor,
     native_factor,
+    robust_noise,
     soft_iron_walk,
     unvech,
     vech,
@@ -306,6 +308,66 @@ def test_a_late_sample_is_named_by_its_own_stamp():
     for late in (1.7e9 + 0.125, [1.7e9 + 0.125]):
         with pytest.raises(MagycError, match=r"sample at 1700000000\.125 s comes after one at 1700000000\.500 s"):
             buffer.add_field(late, np.full((*np.shape(late), 3), 3e-5))
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e6, 1e9], ids=["ms", "µs", "ns"])
+def test_stamps_in_another_unit_are_refused(scale):
+    time, field = np.linspace(0.0, 1.0, 21) * scale, np.full((21, 3), 3e-5)
+    message = "closest gyroscope samples .* s apart; it must be at most 0.5 s; likely unit: ms"
+    with pytest.raises(MagycError, match=message):
+        KeyframeField.from_samples((time, field), (time, np.zeros((21, 3))), time[10])
+    buffer = KeyframeBuffer()
+    buffer.add_rate(time, np.zeros((21, 3)))
+    buffer.add_field(time, field)
+    with pytest.raises(MagycError, match=message):
+        buffer.close(time[10])
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: KeyframeBuffer(delay=25.0),
+        lambda: KeyframeField.from_samples(
+            ([25.5], np.full((1, 3), 3e-5)), ([0, 0.5, 1], np.zeros((3, 3))), 0.5, delay=25.0
+        ),
+        lambda: magnetometer_factor(
+            X(0), A(0), H(0), FIELD, 1e-6, field=FIELD, delay=25.0, angular_rate=np.zeros(3)
+        ),
+    ],
+)
+def test_a_delay_in_ms_is_refused(call):
+    with pytest.raises(MagycError, match="delay of 25 s; it must be at most 10 s; likely unit: ms; give it in s"):
+        call()
+
+
+def test_a_noise_model_in_tesla_is_refused():
+    def factor(sigma, unit=1e-6, robust=False):
+        noise = robust_noise("huber", sigma) if robust else gtsam.noiseModel.Isotropic.Sigma(3, sigma)
+        return magnetometer_factor(X(0), A(0), H(0), FIELD, noise, field=FIELD, field_unit=unit)
+
+    for robust in (False, True):
+        factor(0.5, robust=robust)
+        with pytest.raises(MagycError, match="noise model of 5e-13 T; .* between 1 nT and 1 mT; .*`field_unit`"):
+            factor(0.5e-6, robust=robust)
+    factor(0.5e-6, unit=1.0)
+    with pytest.raises(MagycError, match="noise model of 0.5 T"):
+        factor(0.5, unit=1.0)
+    exact = gtsam.noiseModel.Constrained.All(3)
+    magnetometer_factor(X(0), A(0), H(0), FIELD, exact, field=FIELD)
+    full = gtsam.noiseModel.Gaussian.Covariance(1e-12 * (np.eye(3) + 0.1))
+    with pytest.raises(MagycError, match="noise model of 1.049e-12 T"):
+        magnetometer_factor(X(0), A(0), H(0), FIELD, full, field=FIELD)
+
+
+def test_buffer_stays_small_while_the_magnetometer_is_silent():
+    buffer, step = KeyframeBuffer(), np.arange(1, 11) / 10
+    for second in range(60):
+        buffer.add_rate(second + step, np.zeros((10, 3)))
+        with pytest.raises(MagycError, match="no magnetometer sample"):
+            buffer.close(second + 1.0)
+        assert len(buffer._rate_time) <= 112  # 10 s, and a second between two keyframes
+    buffer.add_field(59.5, FIELD)
+    assert buffer.close(60.0).samples == 1
 
 
 def test_samples_beyond_a_pause_of_the_gyroscope_are_left_out():

@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import A, H, X
 
-from magyc_gtsam.factors import KeyframeField, NativeFactors, keyframe_field_factor, vech
+from magyc_gtsam.factors import (
+    KeyframeField,
+    MagycError,
+    NativeFactors,
+    keyframe_field_factor,
+    magnetometer_factor,
+    robust_noise,
+    vech,
+)
+from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.runners import Status, optimize
 
 FIELD, UNIT, SIGMA = np.array([21e-6, 3e-6, 44e-6]), 50e-6, 0.5e-6
@@ -89,3 +98,129 @@ def test_a_batch_ends_at_the_better_of_the_turned_and_the_given_start(monkeypatc
     assert solved.error(values) == pytest.approx(
         graph.error(values), rel=1e-6
     )  # the kernels' width is its own too
+
+
+def small(calibration="weak", poses=6):
+    """Poses that are known well, a block at each, and a calibration whose priors are weak or hold exactly."""
+    graph, values, time = gtsam.NonlinearFactorGraph(), gtsam.Values(), np.linspace(-1.0, 0.0, 11)
+    if calibration == "equal":
+        graph.push_back(gtsam.PriorFactorVector(A(0), vech(SOFT_IRON), gtsam.noiseModel.Constrained.All(6)))
+        graph.push_back(gtsam.NonlinearEqualityPoint3(H(0), HARD_IRON))
+    else:
+        sigmas = np.full(6, 0.3 if calibration == "weak" else 0.0)
+        graph.addPriorVector(A(0), vech(SOFT_IRON), gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+        graph.addPriorPoint3(H(0), HARD_IRON, gtsam.noiseModel.Diagonal.Sigmas(sigmas[:3]))
+    values.insert(A(0), vech(SOFT_IRON))
+    values.insert(H(0), HARD_IRON)
+    for k in range(poses):
+        attitude = gtsam.Rot3.Ypr(1.1 * k, 0.5 * np.sin(k), 0.4 * np.cos(2 * k))
+        graph.addPriorRot3(X(k), attitude, gtsam.noiseModel.Isotropic.Sigma(3, 0.05))
+        values.insert(X(k), attitude)
+        field = np.tile(SOFT_IRON @ attitude.unrotate(FIELD) + HARD_IRON * UNIT, (11, 1))
+        block = KeyframeField.from_samples((time, field), (time, np.zeros((11, 3))), 0.0)
+        graph.push_back(keyframe_field_factor(X(k), A(0), H(0), block, SIGMA, field=FIELD, field_unit=UNIT))
+    return graph, values
+
+
+def taken(way, graph, values):
+    """The values after a batch or an update."""
+    if way == "solve":
+        return NativeFactors().solve(graph, values)[1]
+    isam = gtsam.ISAM2()
+    NativeFactors().update(isam, graph, values)
+    return isam.calculateEstimate()
+
+
+@pytest.mark.parametrize("way", ["solve", "update"])
+@pytest.mark.parametrize("calibration", ["constrained", "equal"])
+def test_a_calibration_may_be_held_exactly(way, calibration):
+    graph, values = small(calibration)
+    values = taken(way, graph, values)
+    assert values.atVector(A(0)) == pytest.approx(vech(SOFT_IRON), abs=1e-6)
+    assert values.atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-6)
+
+
+def test_a_calibration_may_be_held_exactly_before_its_first_block():
+    graph, values = small("constrained")
+    first, start = gtsam.NonlinearFactorGraph(), values.extract([A(0), H(0)])
+    first.push_back(graph.at(0))
+    first.push_back(graph.at(1))
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    native, isam = NativeFactors(), gtsam.ISAM2(parameters)
+    native.update(isam, first, start)
+    blocks, poses = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
+    for i in range(2, graph.size()):
+        (blocks if isinstance(graph.at(i), gtsam.CustomFactor) else poses).push_back(graph.at(i))
+    native.update(isam, poses, values.extract([X(k) for k in range(6)]))
+    native.update(isam, blocks)
+    assert isam.calculateEstimate().atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-6)
+
+
+@pytest.mark.parametrize("way", ["solve", "update"])
+def test_a_graph_may_have_slots_that_are_empty(way):
+    graph, values = small()
+    graph.remove(4)
+    graph.remove(5)
+    assert taken(way, graph, values).atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-3)
+
+
+def test_a_batch_that_is_turned_may_end_with_another_factor_than_a_block():
+    graph, values = small()
+    turned = gtsam.Values(values)
+    for k in range(6):
+        turned.update(X(k), gtsam.Rot3.Rz(2.8) * values.atRot3(X(k)))
+    reading = SOFT_IRON @ values.atRot3(X(0)).unrotate(FIELD) + HARD_IRON * UNIT
+    graph.push_back(magnetometer_factor(X(0), A(0), H(0), reading, 1e-6, field=FIELD, field_unit=UNIT))
+    found = NativeFactors().solve(graph, turned)[1]
+    assert found.atPoint3(H(0)) == pytest.approx(HARD_IRON, abs=1e-3)
+
+
+@pytest.mark.parametrize("way", ["solve", "update"])
+def test_a_value_that_is_not_finite_is_named(way):
+    graph, values = small(poses=2)
+    values.update(H(0), np.array([np.nan, 0.0, 0.0]))
+    with pytest.raises(MagycError, match="value of h0 is not finite; insert numbers"):
+        taken(way, graph, values)
+
+
+@pytest.mark.parametrize("alignment", [None, AlignmentLimits()])
+def test_a_block_whose_keyframe_leaves_in_its_own_update_is_dropped(alignment):
+    graph, values = small(poses=2)
+    late = graph.at(3)  # the block at the first pose
+    graph.remove(3)
+    native, smoother = NativeFactors(alignment=alignment), gtsam.BatchFixedLagSmoother(5.0)
+    native.update(smoother, graph, values, dict.fromkeys(values.keys(), 0.0))
+    held = len(native)
+    more, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    more.push_back(late)
+    more.addPriorRot3(X(9), gtsam.Rot3(), gtsam.noiseModel.Isotropic.Sigma(3, 0.05))
+    new.insert(X(9), gtsam.Rot3())
+    native.update(smoother, more, new, {X(9): 6.0, X(1): 6.0, A(0): 6.0, H(0): 6.0})
+    assert not smoother.calculateEstimate().exists(X(0))
+    native.update(smoother, gtsam.NonlinearFactorGraph(), gtsam.Values(), {})
+    assert len(native) == held
+    assert native.settle(smoother) < 20
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"alignment": False}, "`alignment` is a bool; give AlignmentLimits.., or None"),
+        ({"alignment": True}, "`alignment` is a bool"),
+        ({"health": False}, "`health` is a bool; give HealthLimits.., or None"),
+        ({"recent": "a"}, "recent 'a'; it must be a whole number"),
+        ({"recent": 2.5}, "recent 2.5; it must be a whole number"),
+        ({"recent": 0}, "recent 0; .* at least 1 block"),
+        ({"quadratic": "no"}, "quadratic 'no'; give True or False"),
+    ],
+)
+def test_options_of_another_kind_are_refused(options, message):
+    with pytest.raises(MagycError, match=message):
+        NativeFactors(**options)
+
+
+@pytest.mark.parametrize("dimension", [3.0, 0, True])
+def test_robust_noise_needs_a_number_of_rows(dimension):
+    with pytest.raises(MagycError, match="dimension .* whole number of rows"):
+        robust_noise("huber", 1.0, dimension, tuning=1.3)
