@@ -83,13 +83,14 @@ class CoarseAlignment:
         self.limits = limits
         self.profile: HeadingProfile | None = None
         self._blocks: list[_Kept] = []
-        self._far = self.apart = self._judged = 0
+        self._far = self.apart = self._unjudged = 0
 
     def __len__(self) -> int:
         return len(self._blocks)
 
     def add(self, details: BlockDetails) -> None:
         """Add a block, unless the largest number of blocks is reached."""
+        self._unjudged += 1
         block, unit = details.block, details.field_unit
         if len(self._blocks) < self.limits.blocks:
             self._blocks.append(
@@ -108,8 +109,8 @@ class CoarseAlignment:
 
     @property
     def due(self) -> bool:
-        """Whether a verdict is due: at each of the first 20 blocks, later each time they have grown by a tenth."""
-        return len(self._blocks) <= 20 or len(self._blocks) >= 1.1 * self._judged
+        """Whether a verdict is due: at each of the first 20 blocks, later after a tenth as many blocks as are kept."""
+        return len(self._blocks) <= 20 or 10 * self._unjudged >= len(self._blocks)
 
     @property
     def attitudes(self) -> list[int]:
@@ -136,7 +137,7 @@ class CoarseAlignment:
             point: values of the keys `needed`.
             mean, information: (9,) and (9, 9) of the prior on soft and hard iron.
         """
-        self._judged = len(self._blocks)
+        self._unjudged = 0
         rotations = [rotation_of(point, kept.details.attitude_key) for kept in self._blocks]
         last = self._blocks[-1].details
         if last.field_key is not None:
@@ -157,7 +158,7 @@ class CoarseAlignment:
         )
         limits, best = self.limits, self.profile.best
         near = self.profile.within(limits.near)
-        # Also within `near` of the graph's heading: where that is 18 to 25° off, "near" is never sure.
+        # A best heading just inside `near`, 18 to 25° off, counts too: "near" never becomes sure there.
         far = self.profile.within(limits.peak, best) >= limits.far
         self._far = self._far + 1 if far and near < limits.sure else 0
         self.apart = self.apart + 1 if near < limits.apart else 0

@@ -315,6 +315,21 @@ def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(o
     assert aligned.judge(values, *_VAGUE) is verdict
 
 
+def test_verdicts_go_on_where_the_number_of_blocks_stays_the_same():
+    """At the largest number of blocks, and in a fixed lag from which as many leave as are added."""
+    aligned, values = two_blocks_in_a_turn(0.0)
+    aligned.limits = replace(aligned.limits, blocks=40)
+    for _ in range(50):
+        aligned.add(aligned.last)
+    assert len(aligned) == 40
+    for _ in range(2):
+        assert aligned.due
+        aligned.judge(values, *_VAGUE)
+        for _ in range(4):
+            assert not aligned.due
+            aligned.add(aligned.last)
+
+
 def test_a_heading_at_the_edge_of_near_is_turned_as_one_that_is_far(monkeypatch):
     """The best heading is 23° off: nearer than 25°, but never surely so. Blocks waited for minutes or for ever."""
     angle = np.radians(np.arange(-180.0, 180.0, 2.0))
