@@ -64,11 +64,8 @@ class StuckBit:
 
     @property
     def sentence(self) -> str:
-        """The message: `where`, the limit and the remedy."""
-        return (
-            f"{self.where}, and every second stretch of {self.shown} is never read, where none may be left out: "
-            "check how the driver puts the bytes together, or replace the sensor"
-        )
+        """The message: `where`, the reason and the remedy."""
+        return f"{self.where}, so that half of its values are never read: check the driver, or replace the sensor"
 
 
 class Bit(NamedTuple):
