@@ -291,7 +291,9 @@ def test_stretches_hold_what_the_whole_holds(name: str, setting: dict[str, float
     simulation = mg.simulate("wide", duration=120, seed=7)
     samples = preintegrate(simulation.recording, 1.0)
     windows = samples.integrate()
-    columns = FORMS[name].columns(Signals(windows.time, to_sensor=windows.rotation), setting) * 1e-6
+    columns = (
+        FORMS[name].columns(Signals(windows.time, to_sensor=windows.rotation, soft_iron=np.eye(3)), setting) * 1e-6
+    )
     edges = np.linspace(0, len(windows), 5).astype(int)
     keys, noise = (S(0), H(0), B(0), X(0)), SensorNoise(1e-6, 5e-3)
     stretches = gtsam.NonlinearFactorGraph()

@@ -27,6 +27,7 @@ def signals(n: int = 50) -> Signals:
         hard_iron=HARD,
         rate=random.standard_normal((3, n)) * 0.3,
         to_sensor=np.repeat(np.eye(3)[:, :, None], n, axis=2),
+        soft_iron=SOFT,
         acceleration=random.standard_normal((3, n)) + np.array([[0.0], [0.0], [-9.8]]),
         channels={kind: random.standard_normal((2, n)) for kind in ("current", "temperature", "position")},
     )

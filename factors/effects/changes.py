@@ -86,9 +86,13 @@ def _remembered(decay: Array, driven: Array) -> Array:
 
 def step(s: Signals, setting: Setting) -> Array:
     """Return the columns of a step at `time`, which ends at `until` where the setting has one."""
-    time = s.need("time")
-    on = (time > setting["time"]) & (time <= setting.get("until", np.inf))
-    return per_axis(on.astype(float)[None])
+    return per_axis(during(s.need("time"), setting)[None])
+
+
+def during(time: Array, setting: Setting) -> Array:
+    """Return 1.0 after `time` up to `until`, as far as the setting has them, and 0.0 elsewhere; of shape (n,)."""
+    on = (time > setting.get("time", -np.inf)) & (time <= setting.get("until", np.inf))
+    return np.asarray(on, dtype=float)
 
 
 def drift(s: Signals, setting: Setting) -> Array:

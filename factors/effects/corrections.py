@@ -102,7 +102,7 @@ def corrected_field(
     own = [term for term in terms if term.side == "magnetometer" and term.subtracted]
     needed = {name for term in own for name in FORMS[term.name].needs}
     if "to_sensor" in needed:
-        signals = replace(signals, to_sensor=_to_sensor(signals))
+        signals = replace(signals, to_sensor=_to_sensor(signals), soft_iron=soft_iron)
 
     def added(iron: Array) -> Array:
         at = replace(signals, field=iron, hard_iron=hard_iron)

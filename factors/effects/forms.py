@@ -125,13 +125,16 @@ def _field_gradient(s: Signals, setting: Setting) -> Array:
 
 
 def _local_anomaly(s: Signals, setting: Setting) -> Array:
-    """Return the columns of an anomaly fixed in the world with a Gaussian profile in time.
+    """Return the columns of an anomaly fixed in the world: constant from `time` to `until` (from the beginning or to
+    the end of the recording, where the setting has one of them), or with a Gaussian profile of `width` s around `time`.
 
     The setting `passing` adds the derivative of the profile, as for a dipole that is passed.
     """
+    axes = s.world_axes
+    if "width" not in setting:
+        return axes * changes.during(s.need("time"), setting)
     since = (s.need("time") - setting["time"]) / setting["width"]
     bump = np.exp(-0.5 * since**2)
-    axes = np.swapaxes(s.need("to_sensor"), 0, 1)  # column j of the rotation: world axis j in the sensor's frame
     if setting.get("passing"):
         return np.concatenate([axes * bump, axes * (bump * since)])
     return axes * bump

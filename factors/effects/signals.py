@@ -28,6 +28,7 @@ class Signals:
         hard_iron: (3,) T.
         rate: (3, n) rad/s, true angular rate.
         to_sensor: (3, 3, n) rotation of a world frame into the sensor's.
+        soft_iron: (3, 3) in any unit.
         acceleration: (3, n) m/s².
         channels: {"current" | "temperature" | "position": (k, n)}.
     """
@@ -39,6 +40,7 @@ class Signals:
     hard_iron: Array | None = None
     rate: Array | None = None
     to_sensor: Array | None = None
+    soft_iron: Array | None = None
     acceleration: Array | None = None
     channels: Mapping[str, Array] = dataclasses.field(default_factory=dict)
 
@@ -56,6 +58,16 @@ class Signals:
             )
         array: Array = value
         return array
+
+    @property
+    def world_axes(self) -> Array:
+        """Return what a field of one unit along each axis of the world adds to the reading: (axis, component, n).
+
+        It passes through the soft iron, whose determinant is taken as 1.
+        """
+        soft = self.need("soft_iron")
+        axes: Array = np.einsum("ij,jkn->kin", soft / np.cbrt(np.linalg.det(soft)), self.need("to_sensor"))
+        return axes
 
     @property
     def path(self) -> Array:

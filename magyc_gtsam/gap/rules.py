@@ -99,6 +99,9 @@ class Rules:
     # share of the delays' squares that their differences have, below which they are one delay: axes that are read one
     # after the other have 0.4; the two columns more of unequal delays took the place of BROAD 04's one delay
     unequal: float = 0.1
+    # rad, root mean square rotation during a stay, above which a field of the place is not one of the vehicle: at rest
+    # before its magnet is attached BROAD 32 has 0.1, by a wrong bias; stays on the motion "tiny" have 0.8
+    stay_turns: float = 0.3
     same_row: float = 0.99  # correlation above which two rows of a channel are the same
 
     # What could not be found.

@@ -96,7 +96,7 @@ def step_nearby(twin: Twin, setting: Setting, count: int = _FEWER) -> list[dict[
         if end in setting:
             near = edges[np.abs(edges - setting[end]) <= width]
             result += [dict(setting) | {end: float(t)} for t in near]
-    return [s for s in result if s["time"] < s.get("until", np.inf)]
+    return [s for s in result if s.get("time", -np.inf) < s.get("until", np.inf)]
 
 
 def irregular_drifts(twin: Twin) -> Iterator[dict[str, float]]:

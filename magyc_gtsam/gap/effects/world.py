@@ -1,4 +1,4 @@
-"""A field that differs from place to place: a gradient with depth or position, or a magnetic object passed by."""
+"""A field that differs from place to place: a gradient with depth or position, or a magnetic object that is near."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects.iron import references
+from magyc_gtsam.gap.effects.iron import references, step_nearby, step_times
 from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, measured
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
@@ -14,6 +14,10 @@ from magyc_gtsam.gap.rules import RULES
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
 _SPACING = 2.0  # of the centres, in widths; the derivative of the bump covers times between them
 _CENTRES = 170  # largest number of centres for each width
+_PLACES = 100  # times at which the field of the place may change
+# times at which it may be the first one again; if the direction of the field changes more than its strength, a stay
+# whose end is a few seconds off explains no more than one without an end
+_ENDS = 300
 
 
 def _directions(twin: Twin) -> list[dict[str, float]]:
@@ -30,19 +34,52 @@ def _directions(twin: Twin) -> list[dict[str, float]]:
     return [{names[i]: every[names[i]] for i in some} for some in ([vertical], own)]
 
 
+def _widths(twin: Twin) -> list[float]:
+    return [width for width in _WIDTHS if width <= 0.15 * float(twin.time[-1] - twin.time[0])]
+
+
 def _bumps(twin: Twin) -> list[dict[str, float]]:
     start, end = float(twin.time[0]), float(twin.time[-1])
     settings = []
-    for width in _WIDTHS:
-        if width > 0.15 * (end - start):
-            continue
+    for width in _widths(twin):
         count = min(int((end - start) / (_SPACING * width)), _CENTRES)
         centres = np.linspace(start + width, end - width, count)
         settings += [{"time": float(t), "width": width, "passing": 1.0} for t in centres]
     return settings
 
 
-def _bumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+def _passings_and_stays(twin: Twin) -> list[dict[str, float]]:
+    """Return objects that are passed, and stays beside one at the beginning or at the end of the recording.
+
+    Of two places of which none is known to be undisturbed, that of the longer stay counts as undisturbed.
+    """
+    middle = 0.5 * float(twin.time[0] + twin.time[-1])
+    changes = [setting["time"] for setting in step_times(twin, _PLACES)]
+    return _bumps(twin) + _turning(twin, [{"until" if time < middle else "time": time} for time in changes])
+
+
+def _stays_between(twin: Twin, time: float) -> list[dict[str, float]]:
+    """Return stays that begin or end at a time; an object beside which the vehicle is for less was passed."""
+    shortest = 2 * max(_widths(twin), default=_WIDTHS[0])
+    ends = [setting["time"] for setting in step_times(twin, _ENDS)]
+    stays = [{"time": min(time, end), "until": max(time, end)} for end in ends if abs(end - time) > shortest]
+    return _turning(twin, stays)
+
+
+def _turning(twin: Twin, stays: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Return those stays in which the vehicle turns: without, its hard iron has changed as well as the place."""
+    ends = np.array([[stay.get("time", -np.inf), stay.get("until", np.inf)] for stay in stays]).reshape(-1, 2)
+    first, last = np.searchsorted(twin.time, ends, side="right").T
+    total = np.pad(np.cumsum(twin.windows.need("to_sensor"), axis=2), ((0, 0), (0, 0), (1, 0)))
+    mean = (total[..., last] - total[..., first]) / np.maximum(last - first, 1)
+    spread = np.sqrt(np.maximum(1 - (mean**2).sum(axis=0), 0.0)).max(axis=0)  # of the world's axes in the sensor
+    return [stay for stay, turned in zip(stays, spread, strict=True) if turned > RULES.stay_turns]
+
+
+def _nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    if "width" not in setting:
+        near = step_nearby(twin, setting, _PLACES)
+        return near if len(setting) > 1 else near + _stays_between(twin, *setting.values())
     time, width = setting["time"], setting["width"]
     return [
         {"time": time + shift * width, "width": width * stretch, "passing": passing}
@@ -57,6 +94,14 @@ def _say_gradient(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_anomaly(value: Array, sigma: Array, setting: Setting) -> str:
+    if "width" not in setting:
+        spans = (
+            f"{word} {setting[end]:.0f} s" for word, end in (("from", "time"), ("to", "until")) if end in setting
+        )
+        return (
+            f"the field of the place was another one {' '.join(spans)}, by {np.linalg.norm(value):.2g} µT: something "
+            "magnetic was near the vehicle"
+        )
     return (
         f"something magnetic in the surroundings was passed at {setting['time']:.0f} s "
         f"({setting['width']:.0f} s wide, {np.linalg.norm(value[:3]):.2g} µT)"
@@ -83,9 +128,9 @@ ANOMALY = EffectTerm(
     name="local-anomaly",
     label="magnetic object passed by",
     physics=(
-        "Something magnetic that is fixed in the world is passed: a chain, a pipeline, reinforced concrete. "
-        "Its field adds to that of the Earth for some seconds, and its direction turns as it is passed. If "
-        "the vehicle does not turn meanwhile, it looks like two jumps of the hard iron."
+        "Something magnetic that is fixed in the world is passed, or the vehicle stays beside it: a chain, a ship's "
+        "side, reinforced concrete. Its field adds to that of the Earth, and its direction turns as it is passed. If "
+        "the vehicle does not turn or tilt meanwhile, it looks like two jumps of the hard iron."
     ),
     unit="µT",
     matters=0.5e-6,
@@ -94,8 +139,8 @@ ANOMALY = EffectTerm(
     parameters=tuple(f"world {a}" for a in AXES),
     say=_say_anomaly,
     motion="pass the same place again on another heading",
-    settings=_bumps,
-    refined=_bumps_nearby,
-    block=lambda setting: float(np.clip(0.5 * setting["width"], 1.0, RULES.block)),
-    most=2,
+    settings=_passings_and_stays,
+    refined=_nearby,
+    block=lambda setting: float(np.clip(0.5 * setting.get("width", np.inf), 1.0, RULES.block)),
+    most=3,
 )

@@ -103,10 +103,9 @@ def _hats(signals: Signals, knots: int) -> Array:
 
 def _in_world(twin: Twin, knots: int) -> Columns:
     """Return splines in the world frame without their mean, which is the field itself and only weakens the links."""
-    axes = np.swapaxes(twin.windows.need("to_sensor"), 0, 1)
     hats = _hats(twin.windows, knots)
     hats -= hats.mean(axis=1)[:, None]
-    return Columns((hats[1:, None, None] * axes).reshape(3 * knots - 3, 3, -1), None)
+    return Columns((hats[1:, None, None] * twin.windows.world_axes).reshape(3 * knots - 3, 3, -1), None)
 
 
 def _unit(signals: Signals) -> Array:

@@ -14,7 +14,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
 from magyc_gtsam.gap.model.twin import Twin
 
-_FINER = 2  # rounds of refining a setting
+_FINER = 3  # rounds of refining a setting
 
 
 class Look(NamedTuple):

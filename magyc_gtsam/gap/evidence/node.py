@@ -192,7 +192,11 @@ def related(one: str, other: str) -> bool:
 
 def _one_passing(one: Active, other: Active) -> bool:
     """Return whether two bumps belong to one passed object, whose field rotates meanwhile."""
-    if one.name != "local-anomaly" or other.name != one.name:
+    if (
+        one.name != "local-anomaly"
+        or other.name != one.name
+        or not {"width"} <= one.setting.keys() & other.setting.keys()
+    ):
         return False
     widths = one.setting["width"] + other.setting["width"]
     return abs(one.setting["time"] - other.setting["time"]) < RULES.span * widths

@@ -22,7 +22,6 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.changes import per_axis
 from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.twin import Columns, Twin
@@ -202,9 +201,7 @@ class _Search:
 
 def _in_world(twin: Twin, profiles: Array) -> Array:
     """Return the whitened columns (3k, 3n) of profiles (k, n) along each of the world's axes, in T as read."""
-    soft = unvech(twin.state.parameters[:6])
-    from_world = np.einsum("ij,jkn->kin", soft / np.cbrt(np.linalg.det(soft)), twin.windows.need("to_sensor"))
-    return twin.whiten(Columns((profiles[:, None, None] * from_world).reshape(-1, 3, twin.n), None))
+    return twin.whiten(Columns((profiles[:, None, None] * twin.windows.world_axes).reshape(-1, 3, twin.n), None))
 
 
 def _in_sensor(twin: Twin, profiles: Array) -> Array:

@@ -42,6 +42,7 @@ def window_signals(problem: Problem, gyroscope: Integrated, state: ChainState) -
         hard_iron=parameters[6:9],
         rate=gyroscope.mean_rate,
         to_sensor=rotation,
+        soft_iron=soft,
     )
 
 

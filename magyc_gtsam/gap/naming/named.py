@@ -186,7 +186,7 @@ def _parts(term: Active, time: Array) -> Iterator[Active]:
 
     A step before the first or after the last of the windows' times (n,) cannot be seen.
     """
-    if "until" not in term.setting:
+    if "until" not in term.setting or term.name != "hard-iron-step":
         yield term
         return
     for end, sign in (("time", 1.0), ("until", -1.0)):

@@ -29,6 +29,7 @@ from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
 _STEP = "hard-iron-step"
+_EDGED = (_STEP, "local-anomaly")  # which begin and end between two samples, unless they have a width
 _SHARES = np.linspace(0.0, 1.0, 51)
 _BESIDE = 1.5 * RULES.window  # s, on each side of a step: more than the longest window
 
@@ -93,7 +94,7 @@ def without_samples_of_steps(recording: Recording, result: Named) -> Named:
 
 def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:
     """Return whether wrong samples are significant away from steps; True if none next to a step was left out."""
-    terms = [term for term in model.terms if term.name == _STEP]
+    terms = [term for term in model.terms if term.name in _EDGED and "width" not in term.setting]
     times = np.array([term.setting[end] for term in terms for end in ("time", "until") if end in term.setting])
     left_out = before.magnetic_field_fresh & ~after.magnetic_field_fresh
     near = (np.abs(before.time[:, None] - times) < _BESIDE).any(axis=1)
