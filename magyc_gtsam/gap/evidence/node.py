@@ -191,12 +191,11 @@ def related(one: str, other: str) -> bool:
 
 
 def _one_passing(one: Active, other: Active) -> bool:
-    """Return whether two bumps belong to one passed object, whose field rotates meanwhile."""
-    if (
-        one.name != "local-anomaly"
-        or other.name != one.name
-        or not {"width"} <= one.setting.keys() & other.setting.keys()
-    ):
+    """Return whether two anomalies are one object: bumps near each other, whose field rotates meanwhile, or one at the
+    beginning or the end of a stay.
+    """
+    if one.name != "local-anomaly" or other.name != one.name:
         return False
-    widths = one.setting["width"] + other.setting["width"]
-    return abs(one.setting["time"] - other.setting["time"]) < RULES.span * widths
+    reach = RULES.span * (one.setting.get("width", 0.0) + other.setting.get("width", 0.0))
+    ends = [[part.setting[end] for end in ("time", "until") if end in part.setting] for part in (one, other)]
+    return any(abs(first - second) < reach for first in ends[0] for second in ends[1])
