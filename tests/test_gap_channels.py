@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
@@ -65,6 +66,26 @@ def test_what_was_passed_is_named_and_corrected_without_a_channel_that_it_resemb
     assert passed.name == "local-anomaly"
     assert passed.applied
     assert {"field-gradient", "temperature-hard-iron"} <= set(passed.ambiguous_with)
+
+
+def test_a_stay_beside_steel_is_no_hard_iron_that_comes_and_goes() -> None:
+    """Mostly vertical, which a vehicle that hardly tilts tells from one of its own by its soft iron and heading."""
+    simulated = mg.simulate("moderate", duration=200, seed=2)
+    recording, truth = simulated.recording, simulated.truth
+    assert recording.attitude is not None
+    beside = Rotation.from_quat(recording.attitude).inv().apply([1e-6, -1.5e-6, 5e-6]) @ truth.soft_iron
+    stay = (recording.time > 60) & (recording.time <= 130)
+    field = recording.magnetic_field + stay[:, None] * beside
+    log = replace(recording, magnetic_field=field, attitude=None)
+    gap = mg.find_gap(log, candidates=["hard-iron-step", "hard-iron-drift", "local-anomaly"])
+    (found,) = gap.effects
+    assert found.name == "local-anomaly"
+    assert "was another one from 6" in found.sentence
+    assert [found.setting["time"], found.setting["until"]] == pytest.approx([60, 130], abs=1)
+    assert np.linalg.norm(found.value) == pytest.approx(np.sqrt(1 + 1.5**2 + 5**2), abs=0.5)
+    assert gap.calibration.covariance is not None
+    sigma = np.sqrt(np.diag(gap.calibration.covariance))[6:9]
+    assert np.all(np.abs(gap.calibration.hard_iron - truth.hard_iron) < 3 * sigma)
 
 
 def _without_channels(name: str, motion: str, strength: float = 1.0, duration: float = 300.0) -> Gap:
