@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects import TERMS, nested
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates
+from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings
 from magyc_gtsam.gap.evidence.laplace import Explained, Terms
 from magyc_gtsam.gap.evidence.look import Look
 from magyc_gtsam.gap.evidence.prior import PRIOR
@@ -156,6 +157,16 @@ class Node:
         own, signal = value @ columns, columns @ self.beside.signal()
         information = columns @ columns.T + np.eye(len(columns))
         return float(own @ own), float(signal @ np.linalg.solve(information, signal))
+
+    def closer(self) -> Setting:
+        """Return the setting of the last term, or the one near it that is most probable in the set's linear model."""
+        term, last = self.fit.model.terms[-1], len(self.scales) - 1
+        near = TERMS[term.name].refined(self.fit.twin, term.setting)
+        if not near:
+            return term.setting
+        candidates = Candidates.of_parts(self.fit.twin, [at_settings(self.fit.twin, term.name, near)])
+        without = Terms.of(self.fit).added_to(self.beside.rest(), self.scales, without=last)
+        return weigh(candidates, without)[term.name].setting
 
     def replaceable(self, index: int) -> bool:
         """Return whether a rival of a term explains at least half of what the term does beside the others."""

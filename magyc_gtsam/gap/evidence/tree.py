@@ -30,6 +30,7 @@ from magyc_gtsam.gap.rules import RULES
 _VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
 _COLOURED = float(np.log(COLOURS))  # the same for that of coloured noise
 _MORE_MODES = float(np.log(RULES.drift_finer))
+_SETTLED = 4  # rounds of finding a setting again at the minimum
 _BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 
 
@@ -241,7 +242,24 @@ class Tree:
                 if child is None or child.log < best.log + way * _MORE_MODES:
                     break
                 best = child
-        return best
+        return self._settled(best)
+
+    def _settled(self, node: Node) -> Node:
+        """Return a set with the setting of its last effect that is most probable at its minimum.
+
+        It was found in the linear model of the set without the effect, far from that minimum if the effect is large.
+        """
+        for _ in range(_SETTLED):
+            last, setting = len(node.scales) - 1, node.closer()
+            if setting == node.fit.model.terms[last].setting:
+                break
+            term = replace(node.fit.model.terms[last], setting=setting)
+            fit = self._fit(with_term(without_term(node.fit.model, last), term), node.fit.twin)
+            ahead = None if fit is None else self._node(node.names, fit, _variation(node.names, fit), node.search)
+            if ahead is None or ahead.log <= node.log:
+                break
+            node = ahead
+        return node
 
     def _fit(self, model: Model, known: Twin | None) -> Refit | None:
         """Fit a model; None if there is no fit or a value is impossible."""
