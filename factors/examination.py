@@ -19,6 +19,7 @@ from magyc_gtsam.factors.variables import Array, key_name
 
 _EVERY = 4  # blocks between two checks of the variables that priors hold
 _QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
+_QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
 _LEAST_SOFT_IRON = 0.1  # eigenvalue of a soft iron where the field is known; 0.8 to 1.2 in instruments
 _NEGATIVE = (
     "check the axes of the world field (north-east-down or east-north-up), of the poses and of the mounting"
@@ -111,10 +112,12 @@ class Examiner:
                 text += _NEGATIVE if least <= 0 else _NEARLY_ZERO
                 self.monitor.hold(f"soft iron {key}", least <= limit, text, details.block.time)
 
-    def spans_over(self) -> list[tuple[float, float]]:
-        """Return (first, last) in s of each disturbance that has ended; each is returned once."""
+    def disturbed(self, delivered: list[Delivered]) -> list[Delivered]:
+        """Return the blocks inside disturbances that have ended since the last call; the next blocks are not judged."""
         spans, self.monitor.over = self.monitor.over, []
-        return spans
+        if spans:
+            self.quiet = _QUIET_AFTER
+        return [each for each in delivered if each.within(spans)] if spans else []
 
     def _examine(self, each: Delivered, view: View, mounting: HeldMounting | None) -> None:
         """Compute the NIS of a block that has entered, and check the variables that priors hold after every few

@@ -28,13 +28,12 @@ from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
 from magyc_gtsam.factors.intake import expect_options, expect_problem, expect_values, unchanged_on_error
+from magyc_gtsam.factors.one_sensor import expect_one_sensor
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver, with_factors
 from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
 from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
-
-_QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
 
 
 class NativeFactors:
@@ -129,7 +128,8 @@ class NativeFactors:
 
         Raises:
             MagycError: errors of the factors; an unsupported solver; arguments of another type; a variable without a
-                value; new keys of a smoother without a time stamp. The blocks that wait are then those of before.
+                value; blocks of two sensors; new keys of a smoother without a time stamp. The blocks that wait are
+                then those of before.
         """
         values = gtsam.Values() if values is None else values
         expect_problem(graph, values)
@@ -186,11 +186,12 @@ class NativeFactors:
             examine: whether to judge each block at the solution, for `health`; takes some milliseconds per block.
 
         Raises:
-            MagycError: a variable of the graph has no value.
+            MagycError: a variable of the graph has no value; blocks of two sensors.
         """
         expect_problem(graph, values)
         expect_values(graph.keyVector(), values.exists)
         new = sorted_factors(graph)
+        expect_one_sensor(new.fresh)
         turned = self._admission.start(new.others, values, new.fresh, optimize or minimum)
         starts = [values] if turned is values else [turned, values]  # the blocks may be wrong about the heading
         own, fresh, values, self.settled, replaced = best_solution(
@@ -217,12 +218,17 @@ class NativeFactors:
         view = View(solver, self._admission.joined(values))
         expect_values(new.keys, view.exists)
         self._forget(view)
+        expect_one_sensor(fresh, self._delivered, self._admission.waiting)
         parts = [self, self._kernels, self._staleness, *self._admission.changing]
         with unchanged_on_error(*parts, *([] if examiner is None else examiner.changing)) as keep:
             for block in robust_blocks(each.factor for each in fresh):
                 self._kernels.add(block, view.values(block.factor.keys()))
             self._kernels.narrow()
-            remove = [each.slot for each in self._withdraw_disturbed()]
+            disturbed = [] if examiner is None else examiner.disturbed(self._delivered)
+            if disturbed:
+                self._delivered = [each for each in self._delivered if each not in disturbed]
+                self.withdrawn += len(disturbed)
+            remove = [each.slot for each in disturbed]
             admission = self._admission.admit(view, fresh, self._delivered, new.others)
             entering = admission.entering
             if admission.turned and examiner is not None:
@@ -257,17 +263,6 @@ class NativeFactors:
             return
         self._delivered = [each for each in self._delivered if all(map(view.exists, each.factor.keys()))]
         self._admission.forget(view)
-
-    def _withdraw_disturbed(self) -> list[Delivered]:
-        """Remove and return the blocks inside disturbances that have ended."""
-        spans = [] if self._examiner is None else self._examiner.spans_over()
-        if self._examiner is None or not spans:
-            return []
-        gone = [each for each in self._delivered if each.within(spans)]
-        self._delivered = [each for each in self._delivered if not each.within(spans)]
-        self.withdrawn += len(gone)
-        self._examiner.quiet = _QUIET_AFTER
-        return gone
 
     def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
         """Renew the stale quadratics and return them; Python factors are relinearised by the solver itself."""
