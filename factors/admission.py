@@ -225,14 +225,13 @@ class AdmissionControl:
 def _calibration_before(
     view: View, graph: gtsam.NonlinearFactorGraph, details: BlockDetails
 ) -> tuple[Array, Array]:
-    """Return mean (9,) and information (9, 9) of soft and hard iron before any block, from the solver or from new
-    priors.
+    """Return mean (9,) and information (9, 9) of soft and hard iron before any block, from the solver or from priors,
+    new ones or those of the solver; a weak prior for what has none.
     """
     keys = [details.soft_iron_key, details.hard_iron_key]
     strength = 50e-6 if details.field is None else float(np.linalg.norm(details.field))
     unit = np.r_[np.ones(6), np.full(3, details.field_unit / strength)]
-    information = 1e-3 * _WEAK_PRIOR * unit * unit[:, None]
-    right = information @ _NO_IRON
+    weak = _WEAK_PRIOR * unit * unit[:, None]
     point = view.values(keys)
     start = np.concatenate(
         [
@@ -240,24 +239,34 @@ def _calibration_before(
             for key, size in zip(keys, (6, 3), strict=True)
         ]
     )
-    if not any(map(view.new.exists, keys)):
-        covariance = view.covariance(keys)
-        if covariance is not None:
-            known = np.linalg.inv(covariance)
-            return np.linalg.solve(information + known, right + known @ start), information + known
-    priors = gtsam.NonlinearFactorGraph()
-    for i in range(graph.size()):
-        if graph.exists(i) and set(graph.at(i).keys()) <= set(keys):
-            priors.push_back(graph.at(i))
-    if priors.size() and set(priors.keyVector()) == set(keys):
-        ordering = gtsam.Ordering()
-        for key in keys:
-            ordering.push_back(key)
-        known, gradient = _without_constraints(priors.linearize(point), keys, unit).hessian(ordering)
-        information, right = information + known, right + gradient + known @ start
+    covariance = None if any(map(view.new.exists, keys)) else view.covariance(keys)
+    if covariance is not None:
+        covariance += np.diag(np.where(np.diag(covariance) > 0, 0.0, (_HELD / unit) ** 2))
+        known, gradient, seen = np.linalg.inv(covariance), np.zeros(9), np.full(9, True)
     else:
-        information, right = 1e3 * information, 1e3 * right
-    return np.linalg.solve(information, right), information
+        priors = _priors(view, graph, keys)
+        held = set(priors.keyVector())
+        seen = np.repeat([key in held for key in keys], (6, 3))
+        known, gradient = np.zeros((9, 9)), np.zeros(9)
+        if held:
+            ordering = gtsam.Ordering()
+            for key in (each for each in keys if each in held):
+                ordering.push_back(key)
+            square, right = _without_constraints(priors.linearize(point), keys, unit).hessian(ordering)
+            known[np.ix_(seen, seen)], gradient[seen] = square, right
+    information = weak * np.where(seen, 1e-3, 1.0)  # makes it regular beside priors
+    right = information @ _NO_IRON + gradient + known @ start
+    return np.linalg.solve(information + known, right), information + known
+
+
+def _priors(view: View, graph: gtsam.NonlinearFactorGraph, keys: Sequence[int]) -> gtsam.NonlinearFactorGraph:
+    """Return the factors on nothing but these keys, among new ones and those of the solver."""
+    priors = gtsam.NonlinearFactorGraph()
+    for factors in [graph] if isinstance(view.solver, gtsam.Values) else [graph, view.factors()]:
+        for i in range(factors.size()):
+            if factors.exists(i) and set(factors.at(i).keys()) <= set(keys):
+                priors.push_back(factors.at(i))
+    return priors
 
 
 def _without_constraints(

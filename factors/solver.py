@@ -7,6 +7,7 @@ from typing import Any
 
 import gtsam
 
+from magyc_gtsam.factors.constraints import exact_covariance
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.variables import Array
 
@@ -94,8 +95,7 @@ class View:
                 joint = isam.jointMarginalCovariance(list(keys))
         except RuntimeError:  # the variables are not determined
             return None
-        covariance: Array = joint.fullMatrix()
-        return covariance
+        return exact_covariance(joint, keys, self.factors)
 
 
 def update_solver(
