@@ -97,11 +97,13 @@ class NativeFactors:
 
     @property
     def mounting_error(self) -> Array | None:
-        """Rotation θ (3,) in rad for which ᵇRₛ Exp(θ) is the correct mounting of the blocks; None where it is not
-        wrong.
-        """
-        mounting = None if self._examiner is None else self._examiner.mounting
-        return mounting.mean if mounting is not None and mounting.wrong else None
+        """Rotation θ (3,) in rad for which ᵇRₛ Exp(θ) is the blocks' correct mounting; None where it is not wrong."""
+        return None if self._examiner is None else self._examiner.mounting.error
+
+    @property
+    def field_error(self) -> float | None:
+        """Angle ψ in rad about the world's z for which Rz(ψ) f is the correct field; None where it is not wrong."""
+        return None if self._examiner is None else self._examiner.field.error
 
     @property
     def fits(self) -> tuple[BlockFit, ...]:
@@ -158,6 +160,8 @@ class NativeFactors:
             self._forget(view)
             renewed = self._renew(self._delivered, view)
             if not renewed:
+                if self._examiner is not None:
+                    self._examiner.judge_late(view, self._delivered, settled=True)
                 return count
             graph = with_factors(gtsam.NonlinearFactorGraph(), [each.native for each in renewed])
             remove = [each.slot for each in renewed]
@@ -206,8 +210,8 @@ class NativeFactors:
     @property
     def _pending(self) -> bool:
         """Whether an update that adds no block has work to do."""
-        over = self._examiner is not None and bool(self._examiner.monitor.over)
-        return over or self._staleness.pending or self._admission.defers
+        owed = self._examiner is not None and bool(self._examiner.monitor.over or self._examiner.later)
+        return owed or self._staleness.pending or self._admission.defers
 
     @one_thread
     def _update_blocks(
@@ -251,6 +255,8 @@ class NativeFactors:
             )
         if pushed is not new.others:
             self._place(solver, result, placed, admission.pull)
+        if examiner is not None:
+            examiner.judge_late(View(solver), self._delivered, settled=not self._staleness.unsettled)
         if examiner is not None and entering and self._admission.entered:
             if len(entering) > len(fresh):
                 examiner.settling()
