@@ -63,14 +63,24 @@ class Examiner:
         for factor in holding:
             self._held[factor.keys()[0]] = factor
 
-    def judge(self, entered: list[Delivered], view: View, delivered: list[Delivered]) -> None:
+    @property
+    def owes(self) -> bool:
+        """Whether an update that adds no block has blocks to judge or to remove."""
+        return bool(self.monitor.over or self.later)
+
+    def judge(
+        self, entered: list[Delivered], view: View, delivered: list[Delivered], *, waited: bool = False
+    ) -> None:
         """Examine the factors that have entered, unless judging is suspended.
 
         Args:
             entered: the factors that have entered.
             view: view of the solver.
             delivered: all factors that the solver holds.
+            waited: whether some of them waited for the heading; the next ones are then not judged either.
         """
+        if waited:
+            self.settling()
         self.additions += 1
         self.check_soft_irons(entered, view)
         if not self.quiet:

@@ -1,4 +1,4 @@
-"""Refusal of blocks of two magnetometers in one `NativeFactors`, which would wait for a common heading for ever."""
+"""Refusal of blocks of two magnetometers in one `NativeFactors`, and of blocks that are given twice."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NEIGHBOURS = 8  # newest blocks of each kind whose samples a new block's may ov
 
 
 def expect_one_sensor(fresh: Sequence[Delivered], *before: Sequence[Delivered]) -> None:
-    """Raise an error where blocks of two calibrations, or of two mountings, overlap in time.
+    """Raise an error where blocks of two calibrations, or of two mountings, overlap in time, or a block comes twice.
 
     The samples of one sensor follow each other: when its calibration gets a new node, or its mounting changes, the next
     block begins where the last one ends. Two sensors, two vehicles and two clocks overlap.
@@ -30,6 +30,14 @@ def expect_one_sensor(fresh: Sequence[Delivered], *before: Sequence[Delivered]) 
     if not fresh:
         return
     known = [each for held in before for each in held[-_NEIGHBOURS:]]
+    twice = [
+        new.details for new in fresh for old in known if new.details is not None and new.details is old.details
+    ]
+    if twice:
+        raise MagycError(
+            f"native factors: the block on {key_name(twice[0].attitude_key)} at {twice[0].block.time:.1f} s is in the "
+            "graph already: give each factor once, and empty `graph` after an update"
+        )
     blocks = [each.details for each in [*known, *fresh] if each.details is not None]
     last: BlockDetails | None = None  # the block that reaches furthest
     for each in sorted(blocks, key=_begin):

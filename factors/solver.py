@@ -48,10 +48,15 @@ class View:
         return bool(self._held.exists(key))
 
     @property
-    def size(self) -> int | None:
-        """Number of variables that iSAM2 holds; None for solvers that drop variables in an update."""
-        held = self.solver.getLinearizationPoint() if isinstance(self.solver, gtsam.ISAM2) else None
-        return None if held is None else int(held.size())
+    def state(self) -> tuple[int, int, int] | None:
+        """Numbers of iSAM2's variables, slots and factors, one of which changes where any of them goes.
+
+        None for solvers that drop variables in an update.
+        """
+        if not isinstance(self.solver, gtsam.ISAM2):
+            return None
+        factors = self.solver.getFactorsUnsafe()
+        return int(self.solver.getLinearizationPoint().size()), int(factors.size()), int(factors.nrFactors())
 
     def values(self, keys: Sequence[int]) -> gtsam.Values:
         """Return the values of these keys, all of which must exist."""
@@ -122,7 +127,13 @@ def update_solver(
                 groups.insert2(key, group)
         return solver.update(graph, values, list(remove), groups)
     _check_solver(solver)
-    stamps: Any = dict(timestamps or {})
+    try:
+        stamps: Any = dict(timestamps or {})
+    except (TypeError, ValueError):
+        raise MagycError(
+            f"native factors: `timestamps` is a {type(timestamps).__name__}; give {{key: s}} of the keys that are new "
+            "or must stay"
+        ) from None
     if missing := [key for key in list(values.keys()) if key not in stamps]:
         raise MagycError(
             f"native factors: {len(missing)} new keys without a time stamp, {gtsam.DefaultKeyFormatter(missing[0])} "
