@@ -1,14 +1,16 @@
-"""Covariances of variables that a constraint of the graph holds exactly, which GTSAM states as 1 in place of 0."""
+"""Covariances and priors of variables that a constraint of the graph holds exactly; to GTSAM their variance is 1."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.variables import Array
 
+HELD = 1e-6  # standard deviation, relative to the field, of a calibration that a constraint holds
 _ROUNDING = 1e-9  # of a variance that is 1, through a QR decomposition
 
 
@@ -55,3 +57,30 @@ def _constrained_keys(graph: gtsam.NonlinearFactorGraph) -> set[int]:
         if constrained:
             found.update(factor.keys())
     return found
+
+
+def without_constraints(
+    linear: gtsam.GaussianFactorGraph, keys: Sequence[int], unit: Array
+) -> gtsam.GaussianFactorGraph:
+    """Return a graph in which rows that must hold exactly, which have no information, have a very large one.
+
+    Args:
+        linear: factors on soft and hard iron.
+        keys: those of soft and hard iron.
+        unit: (9,) factor of each component of both that makes it relative to the field.
+    """
+    result = gtsam.GaussianFactorGraph()
+    parts = dict(zip(keys, (slice(0, 6), slice(6, 9)), strict=True))
+    for i in range(linear.size()):
+        factor = linear.at(i)
+        if isinstance(factor, gtsam.JacobianFactor) and factor.isConstrained():
+            rows, right = factor.jacobianUnweighted()
+            own = list(map(parts.__getitem__, factor.keys()))
+            scale = np.linalg.norm(rows / np.concatenate([unit[part] for part in own]), axis=1)
+            sigmas = np.maximum(factor.get_model().sigmas(), HELD * scale)
+            blocks = np.split(rows, np.cumsum([part.stop - part.start for part in own])[:-1], axis=1)
+            terms = [each for pair in zip(factor.keys(), blocks, strict=True) for each in pair]
+            made: Any = gtsam.JacobianFactor  # of one term or of two
+            factor = made(*terms, right, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+        result.push_back(factor)
+    return result

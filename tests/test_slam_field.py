@@ -167,3 +167,27 @@ def test_a_whole_log_is_judged_when_it_is_settled_by_hand():
     native.update(isam, graph, values)
     native.settle(isam)
     assert len(native.fits) == 20
+
+
+@pytest.mark.parametrize(("skip", "waiting"), [(1, 0), (1000, 1)])
+def test_a_heading_that_is_not_linearised_anew_is_not_sure(skip, waiting):
+    """With GTSAM's default of ten updates, blocks entered at a heading that was still turning."""
+    graph, values = problem(poses=1)
+    settings = gtsam.ISAM2Params()
+    settings.relinearizeSkip = skip
+    isam, native = gtsam.ISAM2(settings), NativeFactors()
+    wrong, start, known, block = (
+        gtsam.Rot3.Rz(1.0) * values.atRot3(X(0)),
+        *(gtsam.NonlinearFactorGraph() for _ in "abc"),
+    )
+    start.addPriorRot3(X(0), wrong, ISOTROPIC(3, 1.0))
+    for i in (2, 3):
+        start.push_back(graph.at(i))
+    values.update(X(0), wrong)
+    native.update(isam, start, values)
+    known.push_back(graph.at(1))
+    for _ in range(3):
+        native.update(isam, known)
+    block.push_back(graph.at(0))
+    native.update(isam, block)
+    assert native.waiting == waiting
