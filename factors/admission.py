@@ -274,4 +274,4 @@ def _priors(view: View, graph: gtsam.NonlinearFactorGraph, keys: Sequence[int]) 
         for i in range(factors.size()):
             if factors.exists(i) and set(factors.at(i).keys()) <= set(keys):
                 priors.push_back(factors.at(i))
-    return priors
+    return view.placed(priors)

@@ -64,7 +64,7 @@ def free_fit(view: View, delivered: Sequence[Delivered], priors: tuple[float, fl
     graph, values, last = view.factors(), view.estimate(), blocks[-1]
     for each in blocks:
         graph.remove(each.slot)
-    free = graph.linearize(values)
+    free = view.placed(graph).linearize(values)
     for each in blocks:
         free.push_back(_free_factor(each, values))
     prior = np.r_[np.full(3, priors[0]), priors[1]]

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import gtsam
+import numpy as np
 
 from magyc_gtsam.factors.constraints import exact_covariance
 from magyc_gtsam.factors.errors import MagycError
@@ -86,6 +87,27 @@ class View:
         if isinstance(self.solver, gtsam.BatchFixedLagSmoother):
             return gtsam.NonlinearFactorGraph(self.solver.getFactors())
         return gtsam.NonlinearFactorGraph(self.solver.getFactorsUnsafe())
+
+    def placed(self, graph: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+        """Return factors of the solver with its marginals at the point where they hold.
+
+        What iSAM2 and the incremental smoother leave of marginalised variables is linear about their linearisation
+        point, but does not contain it, and would be taken to be about any estimate. Such a factor is recognised by its
+        linearisation being the same at both.
+        """
+        if isinstance(self.solver, gtsam.Values | gtsam.BatchFixedLagSmoother):
+            return graph
+        before, now = self.solver.getLinearizationPoint(), self.estimate()
+        result = gtsam.NonlinearFactorGraph(graph)
+        for i in range(graph.size()):
+            factor = graph.at(i) if graph.exists(i) else None
+            if isinstance(factor, gtsam.LinearContainerFactor):
+                keys = list(factor.keys())
+                point = before.extract(keys)
+                there, here = factor.linearize(point), factor.linearize(now.extract(keys))
+                if np.array_equal(there.augmentedInformation(), here.augmentedInformation()):
+                    result.replace(i, gtsam.LinearContainerFactor(factor.factor(), point))
+        return result
 
     def covariance(self, keys: Sequence[int]) -> Array | None:
         """Return the joint covariance of keys that the solver holds, in their order; None where it is not available."""
