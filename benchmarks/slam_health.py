@@ -37,7 +37,10 @@ class Drive:
         self.vehicle = vehicle = Vehicle("dive", duration, seed, every=20)
         self.options, self.mounting = options, mounting
         self.random = np.random.default_rng(seed)
-        self.field = np.array(vehicle.recording.magnetic_field)
+        self.field, self.world = (
+            np.array(vehicle.recording.magnetic_field),
+            vehicle.field,
+        )  # measured, held by blocks
         self.heading, self.prior, self.fixes = heading, prior, fixes
 
     def start(self):
@@ -80,7 +83,7 @@ class Drive:
             keys = {"gyro_bias_key": B(k)} | ({} if self.mounting is None else {"mounting_key": M(0)})
             graph.push_back(
                 keyframe_field_factor(
-                    X(k), A(0), H(0), block, 1e-6, field=vehicle.field, field_unit=UNIT, **keys, **self.options
+                    X(k), A(0), H(0), block, 1e-6, field=self.world, field_unit=UNIT, **keys, **self.options
                 )
             )
         return graph, values
@@ -173,14 +176,17 @@ def rms(numbers: np.ndarray) -> float:
 def words(seeds: range) -> None:
     """Print what is named and when."""
     begin = 75.0
-    for kind in ("disturbance of 15 s", "step of 5 µT", "mounting of 3°, held", "mounting of 3°, a variable"):
+    mountings = "mounting of 3°, held", "mounting of 3°, a variable"
+    for kind in ("disturbance of 15 s", "step of 5 µT", *mountings, "field turned by 5°"):
         first, last = [], Counter()
         for seed in seeds:
             drive = Drive(seed, duration=200.05, mounting=np.radians(0.5) if "variable" in kind else None)
             random, time = np.random.default_rng(1000 + seed), drive.vehicle.recording.time
             axis = random.normal(size=3)
             axis /= np.linalg.norm(axis)
-            if kind.startswith("mounting"):
+            if kind.startswith("field"):
+                drive.world = gtsam.Rot3.Rz(np.radians(5) * np.sign(axis[2])).rotate(drive.vehicle.field)
+            elif kind.startswith("mounting"):
                 truth = drive.vehicle.simulation.truth
                 turned = gtsam.Rot3.Expmap(np.radians(3) * axis).matrix()
                 iron = truth.soft_iron @ turned.T @ np.linalg.inv(truth.soft_iron)
@@ -189,8 +195,8 @@ def words(seeds: range) -> None:
                 end = begin + 15 if kind.startswith("disturbance") else np.inf
                 drive.field[(time > begin) & (time <= end)] += 5e-6 * axis
             drive.run()
-            since = 0.0 if kind.startswith("mounting") else begin
-            name = "mounting" if kind.startswith("mounting") else kind.split()[0]
+            since = 0.0 if kind.startswith(("mounting", "field")) else begin
+            name = kind.split()[0]
             at = [k for k, health in enumerate(drive.words, 1) if name in health.by and health.status != "waiting"]
             named = [
                 k

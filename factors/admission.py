@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import gtsam
 import numpy as np
 
-from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict, heading_sigma
+from magyc_gtsam.factors.alignment import (
+    AlignmentLimits,
+    CoarseAlignment,
+    HeadingVerdict,
+    heading_sigma,
+    rotation_of,
+)
+from magyc_gtsam.factors.constraints import HELD, without_constraints
 from magyc_gtsam.factors.delivered import Delivered
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
@@ -18,7 +24,6 @@ from magyc_gtsam.factors.variables import Array, choose, vector
 _WEAK_PRIOR = np.diag(
     np.r_[np.full(6, 1 / 0.5**2), np.full(3, 1.0)]
 )  # information on soft iron and on hard iron, the latter relative to the field
-_HELD = 1e-6  # standard deviation, relative to the field, of a calibration that a constraint holds
 _NO_IRON = np.r_[1.0, 0, 0, 1, 0, 1, 0, 0, 0]
 
 Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
@@ -151,10 +156,13 @@ class AdmissionControl:
         held = [each for each in self._alignment.attitudes if not view.new.exists(each) and view.exists(each)]
         if not held:
             return False
-        covariance = view.covariance(held[-1:])
-        if covariance is None:
+        covariance, limit = view.covariance(held[-1:]), self._alignment.limits.confident
+        if covariance is None or heading_sigma(point, held[-1], covariance) >= limit:
             return False
-        return heading_sigma(point, held[-1], covariance) < self._alignment.limits.confident
+        # iSAM2's covariance is that where it linearised: of a graph that turns, and waits for its next
+        # relinearisation (`relinearizeSkip`), it says nothing.
+        before = rotation_of(view.linearized(held[-1:]), held[-1])
+        return bool(np.linalg.norm(before - rotation_of(point, held[-1])) < np.sqrt(2) * limit)
 
     def _turned(
         self,
@@ -225,14 +233,13 @@ class AdmissionControl:
 def _calibration_before(
     view: View, graph: gtsam.NonlinearFactorGraph, details: BlockDetails
 ) -> tuple[Array, Array]:
-    """Return mean (9,) and information (9, 9) of soft and hard iron before any block, from the solver or from new
-    priors.
+    """Return mean (9,) and information (9, 9) of soft and hard iron before any block, from the solver or from priors,
+    new ones or those of the solver; a weak prior for what has none.
     """
     keys = [details.soft_iron_key, details.hard_iron_key]
     strength = 50e-6 if details.field is None else float(np.linalg.norm(details.field))
     unit = np.r_[np.ones(6), np.full(3, details.field_unit / strength)]
-    information = 1e-3 * _WEAK_PRIOR * unit * unit[:, None]
-    right = information @ _NO_IRON
+    weak = _WEAK_PRIOR * unit * unit[:, None]
     point = view.values(keys)
     start = np.concatenate(
         [
@@ -240,48 +247,31 @@ def _calibration_before(
             for key, size in zip(keys, (6, 3), strict=True)
         ]
     )
-    if not any(map(view.new.exists, keys)):
-        covariance = view.covariance(keys)
-        if covariance is not None:
-            known = np.linalg.inv(covariance)
-            return np.linalg.solve(information + known, right + known @ start), information + known
-    priors = gtsam.NonlinearFactorGraph()
-    for i in range(graph.size()):
-        if graph.exists(i) and set(graph.at(i).keys()) <= set(keys):
-            priors.push_back(graph.at(i))
-    if priors.size() and set(priors.keyVector()) == set(keys):
-        ordering = gtsam.Ordering()
-        for key in keys:
-            ordering.push_back(key)
-        known, gradient = _without_constraints(priors.linearize(point), keys, unit).hessian(ordering)
-        information, right = information + known, right + gradient + known @ start
+    covariance = None if any(map(view.new.exists, keys)) else view.covariance(keys)
+    if covariance is not None:
+        covariance += np.diag(np.where(np.diag(covariance) > 0, 0.0, (HELD / unit) ** 2))
+        known, gradient, seen = np.linalg.inv(covariance), np.zeros(9), np.full(9, True)
     else:
-        information, right = 1e3 * information, 1e3 * right
-    return np.linalg.solve(information, right), information
+        priors = _priors(view, graph, keys)
+        held = set(priors.keyVector())
+        seen = np.repeat([key in held for key in keys], (6, 3))
+        known, gradient = np.zeros((9, 9)), np.zeros(9)
+        if held:
+            ordering = gtsam.Ordering()
+            for key in (each for each in keys if each in held):
+                ordering.push_back(key)
+            square, right = without_constraints(priors.linearize(point), keys, unit).hessian(ordering)
+            known[np.ix_(seen, seen)], gradient[seen] = square, right
+    information = weak * np.where(seen, 1e-3, 1.0)  # makes it regular beside priors
+    right = information @ _NO_IRON + gradient + known @ start
+    return np.linalg.solve(information + known, right), information + known
 
 
-def _without_constraints(
-    linear: gtsam.GaussianFactorGraph, keys: Sequence[int], unit: Array
-) -> gtsam.GaussianFactorGraph:
-    """Return a graph in which rows that must hold exactly, which have no information, have a very large one.
-
-    Args:
-        linear: factors on soft and hard iron.
-        keys: those of soft and hard iron.
-        unit: (9,) factor of each component of both that makes it relative to the field.
-    """
-    result = gtsam.GaussianFactorGraph()
-    parts = dict(zip(keys, (slice(0, 6), slice(6, 9)), strict=True))
-    for i in range(linear.size()):
-        factor = linear.at(i)
-        if isinstance(factor, gtsam.JacobianFactor) and factor.isConstrained():
-            rows, right = factor.jacobianUnweighted()
-            own = list(map(parts.__getitem__, factor.keys()))
-            scale = np.linalg.norm(rows / np.concatenate([unit[part] for part in own]), axis=1)
-            sigmas = np.maximum(factor.get_model().sigmas(), _HELD * scale)
-            blocks = np.split(rows, np.cumsum([part.stop - part.start for part in own])[:-1], axis=1)
-            terms = [each for pair in zip(factor.keys(), blocks, strict=True) for each in pair]
-            made: Any = gtsam.JacobianFactor  # of one term or of two
-            factor = made(*terms, right, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
-        result.push_back(factor)
-    return result
+def _priors(view: View, graph: gtsam.NonlinearFactorGraph, keys: Sequence[int]) -> gtsam.NonlinearFactorGraph:
+    """Return the factors on nothing but these keys, among new ones and those of the solver."""
+    priors = gtsam.NonlinearFactorGraph()
+    for factors in [graph] if isinstance(view.solver, gtsam.Values) else [graph, view.factors()]:
+        for i in range(factors.size()):
+            if factors.exists(i) and set(factors.at(i).keys()) <= set(keys):
+                priors.push_back(factors.at(i))
+    return view.placed(priors)

@@ -19,7 +19,7 @@ from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array, key_name
 
-_HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
+_HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble, gtsam.PriorFactorPoint3)
 # Fraction of the tolerance that applies at the first check of a quadratic, when renewing it costs least. With 1
 # instead, the checks on 25 blocks of `benchmarks/slam_cost.py --motion wide` need 62 linearisations; with 0.1 they
 # need 36.
@@ -193,7 +193,7 @@ class Sorted(NamedTuple):
     Attributes:
         others: all other factors; the graph itself where it has no Python factor of this package.
         fresh: the Python factors of this package.
-        holding: the priors among `others` that may hold a mounting or a delay.
+        holding: the priors among `others` that may hold a mounting, a delay or a field.
     """
 
     others: gtsam.NonlinearFactorGraph

@@ -11,7 +11,9 @@ from scipy.special import chdtrc
 from magyc_gtsam.factors.alignment import heading_axis, rotation_of
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.free_fit import free_fit, holds_field
 from magyc_gtsam.factors.health import BlockFit, HealthLimits, Monitor, block_fit
+from magyc_gtsam.factors.held_field import FieldLimits, HeldField
 from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
@@ -19,6 +21,7 @@ from magyc_gtsam.factors.variables import Array, key_name
 
 _EVERY = 4  # blocks between two checks of the variables that priors hold
 _QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
+_QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
 _LEAST_SOFT_IRON = 0.1  # eigenvalue of a soft iron where the field is known; 0.8 to 1.2 in instruments
 _NEGATIVE = (
     "check the axes of the world field (north-east-down or east-north-up), of the poses and of the mounting"
@@ -34,12 +37,14 @@ class Examiner:
         monitor: derives the health from the fits.
         additions: number of times that blocks have entered since the start or the last restart, judged or not.
         quiet: number of coming blocks that are not judged.
+        later: blocks that entered several at a time, e.g. a whole log, to be judged once the graph has settled.
     """
 
     def __init__(self, limits: HealthLimits) -> None:
         self.monitor = Monitor(limits)
-        self.mounting = HeldMounting(MountingLimits())
+        self.mounting, self.field = HeldMounting(MountingLimits()), HeldField(FieldLimits())
         self.additions = self.quiet = 0
+        self.later: list[Delivered] = []
         self._blocks = 0
         self._held: dict[int, gtsam.NonlinearFactor] = {}
 
@@ -50,30 +55,53 @@ class Examiner:
 
     def restart(self) -> None:
         """Discard all fits, because the graph has been turned."""
-        self.monitor, self.additions, self.quiet = Monitor(self.monitor.limits), 0, 0
-        self.mounting = HeldMounting(self.mounting.limits)
+        self.monitor, self.additions, self.quiet, self.later = Monitor(self.monitor.limits), 0, 0, []
+        self.mounting, self.field = HeldMounting(self.mounting.limits), HeldField(self.field.limits)
 
     def note_priors(self, holding: list[gtsam.NonlinearFactor]) -> None:
-        """Store the priors that may hold a mounting or a delay."""
+        """Store the priors that may hold a mounting, a delay or a field."""
         for factor in holding:
             self._held[factor.keys()[0]] = factor
 
-    def judge(self, entered: list[Delivered], view: View, delivered: list[Delivered]) -> None:
+    @property
+    def owes(self) -> bool:
+        """Whether an update that adds no block has blocks to judge or to remove."""
+        return bool(self.monitor.over or self.later)
+
+    def judge(
+        self, entered: list[Delivered], view: View, delivered: list[Delivered], *, waited: bool = False
+    ) -> None:
         """Examine the factors that have entered, unless judging is suspended.
 
         Args:
             entered: the factors that have entered.
             view: view of the solver.
             delivered: all factors that the solver holds.
+            waited: whether some of them waited for the heading; the next ones are then not judged either.
         """
+        if waited:
+            self.settling()
         self.additions += 1
         self.check_soft_irons(entered, view)
         if not self.quiet:
-            for each in entered:
-                self._examine(each, view, self.mounting)
-            if self.mounting.due and not (self.monitor.open or self.monitor.over):
-                self._free_mounting(view, delivered)
+            if len(entered) > 1:  # one step from a start that may be far off is no estimate to judge them at
+                self.later += entered
+            else:
+                self._judge_now(entered, view, delivered)
         self.quiet = max(self.quiet - len(entered), 0)
+
+    def judge_late(self, view: View, delivered: list[Delivered], *, settled: bool) -> None:
+        """Examine the blocks that entered several at a time, once quadratics are settled or were stale for long."""
+        if self.later and (settled or self.additions >= _EARLY):
+            blocks, self.later = self.later, []
+            self._judge_now(sorted(blocks, key=_time), view, delivered)
+
+    def _judge_now(self, blocks: Sequence[Delivered], view: View, delivered: list[Delivered]) -> None:
+        """Examine blocks, and what they hold where that is due."""
+        for each in blocks:
+            self._examine(each, view, self.mounting)
+        if (self.mounting.due or self.field.due) and not (self.monitor.open or self.monitor.over):
+            self._free(view, delivered)
 
     def settling(self) -> None:
         """Leave the next blocks unjudged, until the quadratics are renewed."""
@@ -96,7 +124,7 @@ class Examiner:
             view = View(solved)
             for each in blocks:
                 self._examine(each, view, None)
-            self._free_mounting(view, blocks)
+            self._free(view, blocks)
 
     def check_soft_irons(self, blocks: Sequence[Delivered], view: View) -> None:
         """Report the soft irons of these blocks that no magnetometer has: not positive definite, or nearly zero."""
@@ -111,10 +139,12 @@ class Examiner:
                 text += _NEGATIVE if least <= 0 else _NEARLY_ZERO
                 self.monitor.hold(f"soft iron {key}", least <= limit, text, details.block.time)
 
-    def spans_over(self) -> list[tuple[float, float]]:
-        """Return (first, last) in s of each disturbance that has ended; each is returned once."""
+    def disturbed(self, delivered: list[Delivered]) -> list[Delivered]:
+        """Return the blocks inside disturbances that have ended since the last call; the next blocks are not judged."""
         spans, self.monitor.over = self.monitor.over, []
-        return spans
+        if spans:
+            self.quiet = _QUIET_AFTER
+        return [each for each in delivered if each.within(spans)] if spans else []
 
     def _examine(self, each: Delivered, view: View, mounting: HeldMounting | None) -> None:
         """Compute the NIS of a block that has entered, and check the variables that priors hold after every few
@@ -133,6 +163,7 @@ class Examiner:
         sizes = [zero.at(key).size for key in keys]
         start = sum(sizes[: keys.index(details.hard_iron_key)])
         unit, turn = details.field_unit, np.eye(3)
+        self.field.blocks += holds_field(details)
         if free is not None and mounting is not None:
             axis = heading_axis(point, details.attitude_key)
             mounting.add(free, axis, covariance, counts=not self.monitor.open)
@@ -163,8 +194,8 @@ class Examiner:
         )
         self._blocks += 1
         if self._blocks % _EVERY == 0:
-            for key in set(keys) & set(self._held):
-                self._examine_held(view, key, details.block.time)
+            for key in set(details.held_keys(keys)) & set(self._held):
+                self._examine_held(view, key, details)
 
     def _moved(self, point: gtsam.Values, keys: list[int], sizes: list[int]) -> tuple[gtsam.Values, Array]:
         """Return a block's values with the mounting free, and the estimated rotation (3, 3) of the mounting."""
@@ -174,15 +205,34 @@ class Examiner:
             step.insert(key, part)
         return point.retract(step), gtsam.Rot3.Expmap(mean).matrix()
 
-    def _free_mounting(self, view: View, delivered: list[Delivered]) -> None:
-        """Solve the graph with the mounting free and report the verdict to the monitor."""
-        mounting = self.mounting
-        mounting.solve(view, delivered)
-        text = f"mounting {np.degrees(np.linalg.norm(mounting.mean)):.1f}° from what the blocks hold"
-        self.monitor.hold("mounting held", mounting.wrong, text, mounting.since)
+    def _free(self, view: View, delivered: list[Delivered]) -> None:
+        """Solve the graph with mounting and field free and report the verdict to the monitor.
 
-    def _examine_held(self, view: View, key: int, time: float) -> None:
-        """Test whether the data have moved a mounting or a delay from its prior by more than both allow."""
+        Where one explains the data far better than the other, only that one is named. A field turned by little is named
+        only in place of a mounting.
+        """
+        mounting, field = self.mounting, self.field
+        fit = free_fit(view, delivered, (mounting.limits.prior, field.limits.prior))
+        mounting.solved(fit)
+        field.solved(fit)
+        if fit is None:
+            return
+        better, clear = field.evidence - mounting.evidence, np.log(field.limits.evidence)
+        turned = field.certain and (mounting.certain or abs(field.mean) > field.limits.least) and better > -clear
+        mounting.conclude(mounting.certain and better < clear, fit.time)
+        field.conclude(turned, fit.time)
+        text = f"mounting {np.degrees(np.linalg.norm(mounting.mean)):.1f}° from what the blocks hold"
+        angle = (
+            f"field {np.degrees(abs(field.mean)):.1f}° about the vertical from the heading of the other factors"
+        )
+        if field.wrong and mounting.wrong:
+            text += f", or {angle}"
+        self.monitor.hold("mounting held", mounting.wrong, text, mounting.since)
+        alone = field.wrong and not mounting.wrong
+        self.monitor.hold("field held", alone, f"{angle}: check the declination", field.since)
+
+    def _examine_held(self, view: View, key: int, details: BlockDetails) -> None:
+        """Test whether the data have moved a mounting, a delay or a field from its prior by more than both allow."""
         covariance, prior = view.covariance([key]), self._held[key]
         if covariance is None:
             return
@@ -192,12 +242,19 @@ class Examiner:
         weight, axes = np.linalg.eigh(before - covariance)
         seen = weight > 0.1 * np.diag(before).max()  # directions whose variance the data have reduced
         distance = float(np.sum((axes.T[seen] @ moved) ** 2 / weight[seen]))
-        if len(moved) == 3:
+        if key == details.field_key:
+            text = f"field {np.linalg.norm(moved) * details.field_unit * 1e6:.1f} µT from its prior"
+        elif len(moved) == 3:
             text = f"mounting {np.degrees(np.linalg.norm(moved)):.1f}° from its prior"
         else:
             text = f"delay {abs(float(moved[0])) * 1e3:.1f} ms from its prior"
         moved_away = bool(seen.any() and chdtrc(int(seen.sum()), distance) < self.monitor.limits.held)
-        self.monitor.hold(gtsam.DefaultKeyFormatter(key), moved_away, text, time)
+        self.monitor.hold(gtsam.DefaultKeyFormatter(key), moved_away, text, details.block.time)
+
+
+def _time(each: Delivered) -> float:
+    """Return the time of a block in s; 0 for other factors, which are not judged."""
+    return 0.0 if each.details is None else each.details.block.time
 
 
 def _body_field(details: BlockDetails, point: gtsam.Values) -> Array:

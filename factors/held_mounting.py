@@ -10,26 +10,21 @@ information of θ are
 (the generalised likelihood ratio of Willsky and Jones, 1976). Innovations are independent, so both may be summed over
 blocks for any D: where D is only nearly right, the test loses power but stays valid. With a prior on θ they give the
 evidence for a turned mounting, which at any time exceeds 1/α with a probability of at most α where the mounting is
-right (Ville's inequality). D does not follow what other factors correct between two blocks, and the sums miss most of a
-turn of 1°. The graph is therefore solved with the mounting free, which is exact, above a low threshold of the evidence,
-and anyway whenever the number of blocks has grown threefold.
+right (Ville's inequality). D does not follow what other
+factors correct between two blocks, and the sums miss most of a turn of 1°. The graph is therefore solved with the
+mounting free (`free_fit.py`), which is exact, above a low threshold of the evidence, and anyway whenever the number of
+blocks has grown threefold.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 
-from magyc_gtsam.factors.alignment import heading_axis
-from magyc_gtsam.factors.delivered import Delivered
-from magyc_gtsam.factors.solver import View
+from magyc_gtsam.factors.free_fit import FreeFit
 from magyc_gtsam.factors.variables import Array
-
-_MOUNTING = gtsam.symbol("~", 2**56 - 2)  # a key that no graph has
 
 
 @dataclass(frozen=True)
@@ -143,39 +138,29 @@ class HeldMounting:
         doubtful = self.wrong or self.evidence > math.log(self.limits.perhaps)
         return self.blocks >= (self._next if doubtful else self._anyway)
 
-    def solve(self, view: View, delivered: Sequence[Delivered]) -> None:
-        """Solve the graph with the mounting free.
+    @property
+    def certain(self) -> bool:
+        """Whether the evidence of the last solution suffices, for a turn that is large enough to be reported."""
+        enough = self.evidence > math.log(self.limits.evidence)
+        return enough and bool(np.linalg.norm(self.mean) > self.limits.least)
 
-        Args:
-            view: view of the solver.
-            delivered: all factors that the solver holds as quadratics, oldest first.
-        """
+    @property
+    def error(self) -> Array | None:
+        """Mean (3,) of θ in rad; None where the mounting is not wrong."""
+        return self.mean if self.wrong else None
+
+    def solved(self, fit: FreeFit | None) -> None:
+        """Take over a solution of the graph with the mounting free; None where there is none."""
         self._next, self._anyway = (growth * self.blocks for growth in self.limits.growth)
-        blocks = [each for each in delivered if each.details is not None and each.details.freed is not None]
-        if not blocks:
-            return
-        graph, values, prior, last = view.factors(), view.estimate(), self.limits.prior, blocks[-1]
-        for each in blocks:
-            graph.remove(each.slot)
-        free = graph.linearize(values)
-        for each in blocks:
-            free.push_back(_free_factor(each, values))
-        free.add(_MOUNTING, np.eye(3) / prior, np.zeros(3), gtsam.noiseModel.Unit.Create(3))
-        try:
-            tree = free.eliminateMultifrontal()
-            solution = tree.optimize()
-            joint = tree.jointMarginalCovariance([*last.factor.keys(), _MOUNTING]).fullMatrix()
-        except RuntimeError:  # the variables are not determined
-            return
-        mean, information = solution.at(_MOUNTING), np.linalg.inv(joint[-3:, -3:])
-        self._information, self._score = information - np.eye(3) / prior**2, information @ mean
-        self.shift = -joint[:-3, -3:] @ information
-        assert last.details is not None
-        self._axis = heading_axis(values, last.details.attitude_key)
-        certain = self.evidence > math.log(self.limits.evidence)
-        self.wrong = certain and bool(np.linalg.norm(mean) > self.limits.least)
-        if self.wrong != math.isfinite(self.since):
-            self.since = last.details.block.time if self.wrong else math.nan
+        if fit is not None:
+            self._information, self._score = fit.information[:3, :3], fit.score[:3]
+            self.shift, self._axis = fit.shift[:, :3], fit.axis
+
+    def conclude(self, wrong: bool, time: float) -> None:
+        """Record whether the mounting is wrong, at the time in s of the last block."""
+        self.wrong = wrong
+        if wrong != math.isfinite(self.since):
+            self.since = time if wrong else math.nan
 
     def considered(self, gram: Array, covariance: Array) -> tuple[Array, Array]:
         """Return the last block at the estimate with the mounting at its mean, and the mounting among the keys.
@@ -188,13 +173,3 @@ class HeldMounting:
         turn[:p, -1], turn[p : p + 3, -1] = shift @ mean, -mean
         crossed = -shift @ spread
         return turn.T @ gram @ turn, np.block([[covariance - crossed @ shift.T, crossed], [crossed.T, spread]])
-
-
-def _free_factor(each: Delivered, point: gtsam.Values) -> gtsam.GaussianFactor:
-    """Return the block's linearisation at the mounting that it holds, with the mounting as an additional variable."""
-    details = each.details
-    assert details is not None
-    assert details.freed is not None
-    free = point.extract(list(each.factor.keys()))
-    free.insert(_MOUNTING, gtsam.Rot3(details.block.body_R_sensor))
-    return details.freed(_MOUNTING).linearize(free)

@@ -17,6 +17,21 @@ from magyc_gtsam.factors.numbers import is_positive
 from magyc_gtsam.factors.variables import key_name
 
 
+class NotSaved:
+    """What belongs to one solver in memory, and cannot be copied or pickled without it."""
+
+    def __reduce_ex__(self, protocol: object) -> str | tuple[Any, ...]:
+        """Refuse to be copied or pickled.
+
+        Raises:
+            MagycError: always.
+        """
+        raise MagycError(
+            f"{type(self).__name__} belongs to its solver and cannot be copied or saved: save the solver's graph and "
+            "values, which need no Python, and begin with a new one"
+        )
+
+
 def expect_problem(graph: object, values: Any) -> None:
     """Raise an error unless these are a graph and values, all of them finite."""
     check_kind("native factors: `graph`", graph, gtsam.NonlinearFactorGraph, "a gtsam.NonlinearFactorGraph")

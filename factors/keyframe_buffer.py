@@ -40,6 +40,7 @@ class KeyframeBuffer:
         self._mounting, self._delay, self._interval_mean = body_R_sensor, delay, interval_mean
         self._field_time: list[float] = []
         self._field: list[list[float]] = []
+        self._newest = -math.inf  # s, of all magnetometer samples so far, less the delay
         self._rate_time: list[float] = []
         self._rate: list[list[float]] = []
 
@@ -51,14 +52,16 @@ class KeyframeBuffer:
                 lies before that of an earlier sample.
         """
         one = _usual(time, magnetic_field, LIMITS.reading)
-        if one is not None and (not self._field_time or one[0] - self._delay >= self._field_time[-1]):
-            self._field_time.append(one[0] - self._delay)
+        if one is not None and one[0] - self._delay >= self._newest:
+            self._newest = one[0] - self._delay
+            self._field_time.append(self._newest)
             self._field.append(one[1])
             return
         stamps, samples = _block("add_field", time, magnetic_field)
         check_readings("add_field", samples)
-        _check_order("add_field", stamps, self._field_time, strictly=False, delay=self._delay)
+        _check_order("add_field", stamps, [self._newest], strictly=False, delay=self._delay)
         self._field_time += (stamps - self._delay).tolist()
+        self._newest = max([self._newest, *self._field_time[-1:]])
         self._field += samples.tolist()
 
     def add_rate(self, time: ArrayLike, angular_rate: ArrayLike) -> None:
@@ -105,10 +108,9 @@ class KeyframeBuffer:
             interval_mean=self._interval_mean,
         )
         del self._field_time[:cut], self._field[:cut]
-        # Gyroscope samples up to the next magnetometer sample, or the next keyframe, are still needed.
-        keep = max(len(self._rate_time) - 2, 0)
-        if self._field_time:
-            keep = min(keep, max(int(np.searchsorted(self._rate_time, self._field_time[0])) - 1, 0))
+        # Gyroscope samples from the newest magnetometer sample on, or from those that are kept, are still needed.
+        start = min([self._newest, *self._field_time[:1]])
+        keep = max(min(int(np.searchsorted(self._rate_time, start)) - 1, len(self._rate_time) - 2), 0)
         del self._rate_time[:keep], self._rate[:keep]
         return block
 

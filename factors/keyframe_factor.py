@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -103,6 +103,11 @@ class BlockDetails:
     def lever(self) -> float:
         """Root mean square, over the samples, of the angle in rad by which a bias of 1 rad/s turns the field; in s."""
         return float(np.linalg.norm(self.block.design[:, :, 3:12])) / math.sqrt(2 * self.block.samples)
+
+    def held_keys(self, keys: Sequence[int]) -> list[int]:
+        """Return those of the factor's keys that a prior holds: field, mounting and delay."""
+        free = (self.attitude_key, self.soft_iron_key, self.hard_iron_key, self.gyro_bias_key)
+        return [key for key in keys if key not in free]
 
     @property
     def on_direction(self) -> bool:

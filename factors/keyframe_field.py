@@ -59,6 +59,7 @@ class KeyframeField:
         delay: s, τ₀, by which the stamps were moved.
         time: s, mean stamp of the samples after the delay is subtracted.
         angular_rate: (k, 3) rad/s of the samples in the sensor's frame, less b₀; None for compressed rows.
+        span: s, first and last stamp of the samples after the delay is subtracted.
     """
 
     design: Array
@@ -71,6 +72,7 @@ class KeyframeField:
     delay: float = 0.0
     time: float = 0.0
     angular_rate: Array | None = None
+    span: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     @one_thread
@@ -139,7 +141,7 @@ class KeyframeField:
         _cross(lever.swapaxes(0, 1)[None], design[:, None, 0], out=design[:, 1:])
         return cls(
             design.reshape(3, _DELAY, -1).transpose(2, 0, 1), np.ones(len(when)), field, b, len(when), spread, mounting,
-            delay, float(when.mean()), spin @ mounting,
+            delay, float(when.mean()), spin @ mounting, (float(when.min()), float(when.max())),
         )  # fmt: skip
 
     def with_delay(self) -> KeyframeField:

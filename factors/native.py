@@ -27,17 +27,17 @@ from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
-from magyc_gtsam.factors.intake import expect_options, expect_problem, expect_values, unchanged_on_error
+from magyc_gtsam.factors.intake import NotSaved, expect_options, expect_problem, expect_values, unchanged_on_error
+from magyc_gtsam.factors.one_sensor import expect_one_sensor
 from magyc_gtsam.factors.one_thread import one_thread
+from magyc_gtsam.factors.residence import Residence, present
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver, with_factors
 from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
 from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
 
-_QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
 
-
-class NativeFactors:
+class NativeFactors(NotSaved):
     """Magnetometer factors in iSAM2, a fixed-lag smoother or a batch.
 
     Args:
@@ -56,7 +56,6 @@ class NativeFactors:
         withdrawn: number of blocks removed because they were disturbed.
         settled: whether the last `solve` ended at a minimum, with no kernel narrowing; where `optimize` was given,
             whether no quadratic was stale there.
-        health: the health at present.
     """
 
     def __init__(
@@ -74,10 +73,10 @@ class NativeFactors:
         self.replaced = 0
         self.withdrawn = 0
         self.settled = False
-        self._admission = AdmissionControl(alignment)
+        self._alignment, self._admission = alignment, AdmissionControl(alignment)
         self._examiner = None if health is None else Examiner(health)
         self._delivered: list[Delivered] = []
-        self._size: int | None = None  # number of variables in iSAM2 after the last update
+        self._residence = Residence()
         self._kernels = WarmUp()
         self._staleness = Staleness(recent, growth)
 
@@ -98,11 +97,13 @@ class NativeFactors:
 
     @property
     def mounting_error(self) -> Array | None:
-        """Rotation θ (3,) in rad for which ᵇRₛ Exp(θ) is the correct mounting of the blocks; None where it is not
-        wrong.
-        """
-        mounting = None if self._examiner is None else self._examiner.mounting
-        return mounting.mean if mounting is not None and mounting.wrong else None
+        """Rotation θ (3,) in rad for which ᵇRₛ Exp(θ) is the blocks' correct mounting; None where it is not wrong."""
+        return None if self._examiner is None else self._examiner.mounting.error
+
+    @property
+    def field_error(self) -> float | None:
+        """Angle ψ in rad about the world's z for which Rz(ψ) f is the correct field; None where it is not wrong."""
+        return None if self._examiner is None else self._examiner.field.error
 
     @property
     def fits(self) -> tuple[BlockFit, ...]:
@@ -128,11 +129,13 @@ class NativeFactors:
             The result of the solver's own `update`.
 
         Raises:
-            MagycError: errors of the factors; an unsupported solver; arguments of another type; a variable without a
-                value; new keys of a smoother without a time stamp. The blocks that wait are then those of before.
+            MagycError: errors of the factors; an unsupported solver, or another one than before; arguments of another
+                type; a variable without a value; blocks of two sensors, or twice the same; new keys of a smoother
+                without a time stamp. The blocks that wait are then those of before.
         """
         values = gtsam.Values() if values is None else values
         expect_problem(graph, values)
+        graph, self._delivered = self._residence.entered(solver, graph, self._delivered)
         new = sorted_factors(graph)
         if new.holding and self._examiner is not None:
             self._examiner.note_priors(new.holding)
@@ -140,7 +143,7 @@ class NativeFactors:
             result = self._update_blocks(solver, new, values, timestamps)
         else:
             result = update_solver(solver, graph, values, timestamps, [])
-        self._size = View(solver).size
+        self._residence.note(solver)
         return result
 
     @one_thread
@@ -153,11 +156,14 @@ class NativeFactors:
             timestamps: {key: s} of the keys that must stay in a fixed-lag smoother.
             rounds: largest number of rounds.
         """
+        self._residence.expect(solver, settling=True)
         for count in range(rounds):
             view = View(solver)
             self._forget(view)
             renewed = self._renew(self._delivered, view)
             if not renewed:
+                if self._examiner is not None:
+                    self._examiner.judge_late(view, self._delivered, settled=True)
                 return count
             graph = with_factors(gtsam.NonlinearFactorGraph(), [each.native for each in renewed])
             remove = [each.slot for each in renewed]
@@ -186,17 +192,20 @@ class NativeFactors:
             examine: whether to judge each block at the solution, for `health`; takes some milliseconds per block.
 
         Raises:
-            MagycError: a variable of the graph has no value.
+            MagycError: a variable of the graph has no value; blocks of two sensors; a batch after updates.
         """
         expect_problem(graph, values)
+        self._residence.expect(None)
         expect_values(graph.keyVector(), values.exists)
         new = sorted_factors(graph)
-        turned = self._admission.start(new.others, values, new.fresh, optimize or minimum)
+        expect_one_sensor(new.fresh)
+        turned = AdmissionControl(self._alignment).start(new.others, values, new.fresh, optimize or minimum)
         starts = [values] if turned is values else [turned, values]  # the blocks may be wrong about the heading
         own, fresh, values, self.settled, replaced = best_solution(
             new, starts, optimize, rounds=rounds, tolerance=self.tolerance, quadratic=self.quadratic
         )
-        self._delivered, self.replaced = fresh, self.replaced + replaced
+        self._delivered = self._residence.batch = fresh
+        self.replaced += replaced
         if self._examiner is not None:
             self._examiner.note_priors(new.holding)
             self._examiner.judge_batch(fresh, own, values, fits=examine)
@@ -205,8 +214,8 @@ class NativeFactors:
     @property
     def _pending(self) -> bool:
         """Whether an update that adds no block has work to do."""
-        over = self._examiner is not None and bool(self._examiner.monitor.over)
-        return over or self._staleness.pending or self._admission.defers
+        owes = self._examiner is not None and self._examiner.owes
+        return owes or self._staleness.pending or self._admission.defers
 
     @one_thread
     def _update_blocks(
@@ -217,12 +226,17 @@ class NativeFactors:
         view = View(solver, self._admission.joined(values))
         expect_values(new.keys, view.exists)
         self._forget(view)
+        expect_one_sensor(fresh, self._delivered, self._admission.waiting)
         parts = [self, self._kernels, self._staleness, *self._admission.changing]
         with unchanged_on_error(*parts, *([] if examiner is None else examiner.changing)) as keep:
             for block in robust_blocks(each.factor for each in fresh):
                 self._kernels.add(block, view.values(block.factor.keys()))
             self._kernels.narrow()
-            remove = [each.slot for each in self._withdraw_disturbed()]
+            disturbed = [] if examiner is None else examiner.disturbed(self._delivered)
+            if disturbed:
+                self._delivered = [each for each in self._delivered if each not in disturbed]
+                self.withdrawn += len(disturbed)
+            remove = [each.slot for each in disturbed]
             admission = self._admission.admit(view, fresh, self._delivered, new.others)
             entering = admission.entering
             if admission.turned and examiner is not None:
@@ -240,34 +254,22 @@ class NativeFactors:
             pull = [] if admission.pull is None else [admission.pull]
             pushed = with_factors(new.others, [*pull, *(each.native for each in placed)])
             last = eliminated_last(new.others, entering, renewed)
-            result = update_solver(
-                solver, pushed, self._admission.covered(view.new, pushed), timestamps, remove, last
-            )
+            added = self._admission.covered(view.new, pushed)
+            result = update_solver(solver, pushed, added, timestamps, remove, last)
         if pushed is not new.others:
             self._place(solver, result, placed, admission.pull)
-        if examiner is not None and entering and self._admission.entered:
-            if len(entering) > len(fresh):
-                examiner.settling()
-            examiner.judge([each for each in entering if each.slot >= 0], View(solver), self._delivered)
+        if examiner is not None:
+            examiner.judge_late(View(solver), self._delivered, settled=not self._staleness.unsettled)
+            if entering and self._admission.entered:
+                judged, waited = [each for each in entering if each.slot >= 0], len(entering) > len(fresh)
+                examiner.judge(judged, View(solver), self._delivered, waited=waited)
         return result
 
     def _forget(self, view: View) -> None:
-        """Remove the factors on keys that have left a fixed-lag smoother, or were marginalised in iSAM2."""
-        if view.size is not None and view.size == self._size:
-            return
-        self._delivered = [each for each in self._delivered if all(map(view.exists, each.factor.keys()))]
-        self._admission.forget(view)
-
-    def _withdraw_disturbed(self) -> list[Delivered]:
-        """Remove and return the blocks inside disturbances that have ended."""
-        spans = [] if self._examiner is None else self._examiner.spans_over()
-        if self._examiner is None or not spans:
-            return []
-        gone = [each for each in self._delivered if each.within(spans)]
-        self._delivered = [each for each in self._delivered if not each.within(spans)]
-        self.withdrawn += len(gone)
-        self._examiner.quiet = _QUIET_AFTER
-        return gone
+        """Forget the factors on keys that have left a smoother or were marginalised, and those that others removed."""
+        if self._residence.changed(view):
+            self._delivered = present(view, self._delivered)
+            self._admission.forget(view)
 
     def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
         """Renew the stale quadratics and return them; Python factors are relinearised by the solver itself."""

@@ -6,7 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import gtsam
+import numpy as np
 
+from magyc_gtsam.factors.constraints import exact_covariance
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.variables import Array
 
@@ -47,10 +49,15 @@ class View:
         return bool(self._held.exists(key))
 
     @property
-    def size(self) -> int | None:
-        """Number of variables that iSAM2 holds; None for solvers that drop variables in an update."""
-        held = self.solver.getLinearizationPoint() if isinstance(self.solver, gtsam.ISAM2) else None
-        return None if held is None else int(held.size())
+    def state(self) -> tuple[int, int, int] | None:
+        """Numbers of iSAM2's variables, slots and factors, one of which changes where any of them goes.
+
+        None for solvers that drop variables in an update.
+        """
+        if not isinstance(self.solver, gtsam.ISAM2):
+            return None
+        factors = self.solver.getFactorsUnsafe()
+        return int(self.solver.getLinearizationPoint().size()), int(factors.size()), int(factors.nrFactors())
 
     def values(self, keys: Sequence[int]) -> gtsam.Values:
         """Return the values of these keys, all of which must exist."""
@@ -81,6 +88,27 @@ class View:
             return gtsam.NonlinearFactorGraph(self.solver.getFactors())
         return gtsam.NonlinearFactorGraph(self.solver.getFactorsUnsafe())
 
+    def placed(self, graph: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+        """Return factors of the solver with its marginals at the point where they hold.
+
+        What iSAM2 and the incremental smoother leave of marginalised variables is linear about their linearisation
+        point, but does not contain it, and would be taken to be about any estimate. Such a factor is recognised by its
+        linearisation being the same at both.
+        """
+        if isinstance(self.solver, gtsam.Values | gtsam.BatchFixedLagSmoother):
+            return graph
+        before, now = self.solver.getLinearizationPoint(), self.estimate()
+        result = gtsam.NonlinearFactorGraph(graph)
+        for i in range(graph.size()):
+            factor = graph.at(i) if graph.exists(i) else None
+            if isinstance(factor, gtsam.LinearContainerFactor):
+                keys = list(factor.keys())
+                point = before.extract(keys)
+                there, here = factor.linearize(point), factor.linearize(now.extract(keys))
+                if np.array_equal(there.augmentedInformation(), here.augmentedInformation()):
+                    result.replace(i, gtsam.LinearContainerFactor(factor.factor(), point))
+        return result
+
     def covariance(self, keys: Sequence[int]) -> Array | None:
         """Return the joint covariance of keys that the solver holds, in their order; None where it is not available."""
         if isinstance(self.solver, gtsam.Values):
@@ -94,8 +122,7 @@ class View:
                 joint = isam.jointMarginalCovariance(list(keys))
         except RuntimeError:  # the variables are not determined
             return None
-        covariance: Array = joint.fullMatrix()
-        return covariance
+        return exact_covariance(joint, keys, self.factors)
 
 
 def update_solver(
@@ -122,7 +149,13 @@ def update_solver(
                 groups.insert2(key, group)
         return solver.update(graph, values, list(remove), groups)
     _check_solver(solver)
-    stamps: Any = dict(timestamps or {})
+    try:
+        stamps: Any = dict(timestamps or {})
+    except (TypeError, ValueError):
+        raise MagycError(
+            f"native factors: `timestamps` is a {type(timestamps).__name__}; give {{key: s}} of the keys that are new "
+            "or must stay"
+        ) from None
     if missing := [key for key in list(values.keys()) if key not in stamps]:
         raise MagycError(
             f"native factors: {len(missing)} new keys without a time stamp, {gtsam.DefaultKeyFormatter(missing[0])} "
