@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.estimators.model_error.physical import followed
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit, begin
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
@@ -19,7 +20,7 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS, WITH_SKEW, ChainS
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
-from magyc_gtsam.factors.chain.rotations import Array, chained
+from magyc_gtsam.factors.chain.rotations import Array, chained, increments
 from magyc_gtsam.factors.chain.spline import Spline
 
 pytestmark = pytest.mark.skipif(compiled.loops is None, reason="the inner loops were not compiled")
@@ -155,6 +156,36 @@ def test_splines(n: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     time = np.cumsum(random.uniform(0.5, 2, n))
     values = random.normal(size=(count, n))
     close(*both(lambda: Spline.at(time).slopes(values), monkeypatch))
+
+
+@pytest.mark.parametrize("straight", [False, True])
+def test_integrals_across_a_direction(straight: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The links' columns by errors of the rate."""
+    random, n = np.random.default_rng(5), 300
+    time, values, direction = np.cumsum(random.uniform(0.5, 2, n)), random.normal(size=(7, 3, n)), np.ones((3, n))
+    direction[1] = values[0, 0]
+    close(*both(lambda: Spline.at(time).crossed_integrals(values, direction, straight), monkeypatch))
+
+
+@pytest.mark.parametrize("n", [1, 300])
+def test_a_play(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exactly the same: each value is one of the input, less or more the width."""
+    values = np.cumsum(np.random.default_rng(n).normal(size=(3, n)), axis=1)
+    fast, numpy = both(lambda: followed(values, 1.5), monkeypatch)
+    np.testing.assert_array_equal(fast, numpy)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("n", [3, 4, 5, 300])
+def test_turns_between_samples(n: int, uneven: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With even steps, and with one that is a hole."""
+    random = np.random.default_rng(n)
+    step = random.uniform(0.5, 2, n)
+    if uneven:
+        step[n // 2] = 30.0
+    time, rate = np.cumsum(step), random.normal(size=(n, 3))
+    close(*both(lambda: increments(time, rate), monkeypatch))
+    close(*both(lambda: increments(time, rate, np.array([0.1, -0.2, 0.3])), monkeypatch))
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 40])

@@ -25,7 +25,6 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.factors.chain import compiled
-from magyc_gtsam.factors.chain.banded import BandFactor
 from magyc_gtsam.factors.chain.chain_values import (
     DELAY,
     ChainState,
@@ -180,7 +179,7 @@ class FieldChain:
     def move(self, state: ChainState, reduced: Reduced, step: Array) -> ChainState:
         """Return the state after a step on θ; the directions follow by back-substitution."""
         if compiled.loops:
-            factor, n = BandFactor.of(reduced.factor), state.direction.shape[1]
+            factor, n = reduced.band_factor, state.direction.shape[1]
             room, moved = np.empty(2 * n), np.empty((3, n))
             inputs = map(compiled.given, (reduced.half.T, step, reduced.basis, state.direction))
             compiled.loops.move(n, factor.columns, factor.inverse, *inputs, room, moved)

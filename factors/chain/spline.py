@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dpttrf, dpttrs
 
 from magyc_gtsam.factors.chain import compiled
-from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _LEAST = 1e-9  # s, of a step
 
@@ -57,3 +57,20 @@ class Spline(NamedTuple):
             slope = self.slopes(values)
             result -= self.step**2 / 12 * (slope[..., 1:] - slope[..., :-1])
         return result
+
+    def crossed_integrals(self, values: Array, direction: Array, straight: bool = False) -> Array:
+        """Return direction × the integrals (k, 3, n − 1) of vectors (k, 3, n), with directions (3, n) at each begin."""
+        if compiled.loops:
+            result = np.empty((*values.shape[:2], len(self.step)))
+            slope = None if straight else self.slopes(values)
+            inputs = map(compiled.given, (values, slope, self.step, direction))
+            compiled.loops.cross_integrals(len(self.step) + 1, *inputs, result)
+            return result
+        return crossed(direction[:, :-1], self.integrals(values, straight))
+
+
+def crossed(direction: Array, vectors: Array) -> Array:
+    """Return the cross products (k, 3, n) of directions (3, n) with vectors (k, 3, n)."""
+    result = np.empty(vectors.shape)
+    cross(direction[:, None], vectors.swapaxes(0, 1), out=result.swapaxes(0, 1))
+    return result

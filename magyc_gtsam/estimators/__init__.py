@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.noted import noted
 from magyc_gtsam.estimators.gauge import IronScale, check_field_strength, check_noise, doubt_strength
 from magyc_gtsam.estimators.method import Method, methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
@@ -193,11 +194,11 @@ def calibrate(
         if not usable.refused:
             raise
         raise MagycError(f"{usable.refused}; {problem}") from None
-    result = replace(result, diagnostics={**result.diagnostics, "recordings": [*before, own]})
+    result = noted(result, recordings=[*before, own])
     left_out = usable.left_out
     if left_out:
         message = f"{result.message}; left out: {'; '.join(left_out)}"
-        result = replace(result, message=message, diagnostics={**result.diagnostics, "left_out": left_out})
+        result = noted(replace(result, message=message), left_out=left_out)
     if result.trusted and result.field_strength is not None and not counts:
         measured = IronScale.of(result.field_strength * result.soft_iron).strength
         doubt = doubt_strength(measured, field_strength)

@@ -81,68 +81,77 @@ static void whiten_together(const Columns *k, size own, size some)
     }
 }
 
+/* Products of whitened columns with rows (rows, 3n) on the windows and (rows, 3n − 3) on the links. */
 typedef struct {
-    Columns columns;                /* white_window, white_link and absorbed are room for `together` columns */
-    size parameters, links, free;   /* rows of the parameters with the residual below them; of those on the links */
-    const int64_t *linked;          /* row of the parameters of each row on the links */
-    const double *half, *of_window, *of_link, *root, *residual; /* root (free, parameters − 1), residual (free,) */
-    double *pull;                   /* (parameters + links, together) */
+    Columns columns; /* white_window, white_link and absorbed are room for some columns */
+    size rows;
+    const double *of_window, *of_link;
+    size *place[3], count[3]; /* of the columns there, those that are not zero on each axis of the windows */
 } Fit;
 
-/* The rows own to own + some (of `count` in all) of one group or more; `together` columns at most. */
-static void pull_together(const Fit *f, size own, size some, size count, double *explained, double *score)
+static int is_zero(size n, in_t x)
+{
+    for (size t = 0; t < n; t++)
+        if (x[t] != 0.0)
+            return 0;
+    return 1;
+}
+
+/* The white columns own to own + some of `all`, and their products (rows, all). */
+static void products_of(Fit *f, size own, size some, size all, double *products)
 {
     const Columns *k = &f->columns;
-    size n = k->n, m = n - 1, p = f->parameters;
+    size n = k->n, m = n - 1;
     Columns part = *k; /* read from `own` on, written from the start */
     part.window = k->window ? k->window + 3 * n * own : NULL;
     part.link = k->link ? k->link + 3 * m * own : NULL;
     for (size first = 0; first < some; first += TOGETHER)
         whiten_together(&part, first, LEAST(TOGETHER, some - first));
-    memset(f->pull, 0, sizeof(double) * (size_t)(some * (p + f->links)));
-    add_products(2 * n, -1.0, f->half, p, k->absorbed, some, f->pull);
-    if (k->window)
-        add_products(3 * n, 1.0, f->of_window, p, k->white_window, some, f->pull);
-    if (k->link) {
-        double *on_links = f->pull + p * some;
-        add_products(3 * m, 1.0, f->of_link, f->links, k->white_link, some, on_links);
-        for (size i = 0; i < f->links; i++)
-            for (size c = 0; c < some; c++)
-                f->pull[(size)f->linked[i] * some + c] += on_links[i * some + c];
+    for (size i = 0; i < f->rows; i++)
+        memset(products + i * all + own, 0, sizeof(double) * (size_t)some);
+    for (int i = 0; i < 3; i++) {
+        f->count[i] = 0;
+        for (size c = 0; k->window && c < some; c++)
+            if (!is_zero(n, k->white_window + (3 * c + i) * n))
+                f->place[i][f->count[i]++] = c;
+        Rows rows = {f->of_window + i * n, 3 * n, f->rows, NULL, 0};
+        Rows columns = {k->white_window + i * n, 3 * n, f->count[i], f->place[i], 0};
+        add_products(n, 1.0, rows, columns, products + own, all);
     }
-    for (size c = 0; c < some; c++) {
-        double sum = -f->pull[(p - 1) * some + c];
-        for (size i = 0; i < f->free; i++) {
-            double kept = 0.0;
-            for (size j = 0; j < p - 1; j++)
-                kept += f->root[i * (p - 1) + j] * f->pull[j * some + c];
-            explained[i * count + own + c] = kept;
-            sum += f->residual[i] * kept;
-        }
-        score[own + c] = sum;
+    if (k->link) {
+        Rows rows = {f->of_link, 3 * m, f->rows, NULL, 0}, columns = {k->white_link, 3 * m, some, NULL, 0};
+        add_products(3 * m, 1.0, rows, columns, products + own, all);
     }
 }
 
-/* G (k, k) of one group, whose whitened rows begin at `first` and whose columns at `own` of `count`. */
-static void information(const Fit *f, size first, size k, const double *explained, size own, size count,
-                        double rounding, double *normal)
+/* G (k, k) of the white columns from `first` on, one group, whose products with all rows but the last, `explained`, are
+   `all` apart. */
+static void information(const Fit *f, size first, size k, const double *explained, size all, double rounding,
+                        double *normal)
 {
     const Columns *c = &f->columns;
     size n = c->n, m = n - 1;
     memset(normal, 0, sizeof(double) * (size_t)(k * k));
-    add_gram(2 * n, -1.0, c->absorbed + 2 * n * first, k, normal);
-    for (size i = 0; i < k; i++) /* half of the ridge, of what is absorbed */
-        f->pull[i] = -normal[i * k + i];
-    if (c->window)
-        add_gram(3 * n, 1.0, c->white_window + 3 * n * first, k, normal);
+    add_whole_gram(2 * n, -1.0, c->absorbed + 2 * n * first, k, normal);
+    for (size i = 0; i < k; i++) /* the ridge below is of the columns themselves */
+        normal[i * k + i] /= 1 + rounding;
+    for (int i = 0; i < 3; i++) {
+        size begin = 0, stop;
+        while (begin < f->count[i] && f->place[i][begin] < first)
+            begin++;
+        for (stop = begin; stop < f->count[i] && f->place[i][stop] < first + k;)
+            stop++;
+        Rows rows = {c->white_window + (3 * first + i) * n, 3 * n, stop - begin, f->place[i] + begin, first};
+        add_gram(n, 1.0, rows, normal, k);
+    }
     if (c->link)
-        add_gram(3 * m, 1.0, c->white_link + 3 * m * first, k, normal);
+        add_whole_gram(3 * m, 1.0, c->white_link + 3 * m * first, k, normal);
     for (size i = 0; i < k; i++) {
-        normal[i * k + i] += rounding * (normal[i * k + i] + f->pull[i]);
+        normal[i * k + i] *= 1 + rounding;
         for (size j = 0; j <= i; j++) {
             double kept = 0.0;
-            for (size r = 0; r < f->free; r++)
-                kept += explained[r * count + own + i] * explained[r * count + own + j];
+            for (size r = 0; r < f->rows - 1; r++)
+                kept += explained[r * all + i] * explained[r * all + j];
             normal[i * k + j] -= kept;
             normal[j * k + i] = normal[i * k + j];
         }

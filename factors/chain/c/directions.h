@@ -17,6 +17,19 @@ WIDE_VECTORS static void less_directions(size n, size p, in_t jacobian, in_t sol
         }
 }
 
+/* columns (p, 3, n − 1) −= Jacobians (3, 2, n − 1) of the links on the directions before and after them, of solved. */
+WIDE_VECTORS static void less_linked(size n, size p, in_t before, in_t after, in_t solved, out_t columns)
+{
+    size m = n - 1;
+    for (size c = 0; c < p; c++)
+        for (int i = 0; i < 3; i++) {
+            const double *x = solved + 2 * n * c, *b = before + 2 * i * m, *a = after + 2 * i * m;
+            double *y = columns + (3 * c + i) * m;
+            for (size t = 0; t < m; t++)
+                y[t] -= b[t] * x[t] + b[m + t] * x[n + t] + a[t] * x[t + 1] + a[m + t] * x[n + t + 1];
+        }
+}
+
 /* The directions moved by a step in their tangent planes that solves Lᵀ x = pull (2n,), which becomes x. */
 WIDE_VECTORS static void back_and_moved(size n, in_t factor, in_t inverse, in_t basis, in_t direction, out_t pull,
                                         out_t moved)

@@ -45,4 +45,26 @@ WIDE_VECTORS static void slopes_together(size n, in_t values, in_t inverse, in_t
             slopes[c * n + t] = work[TOGETHER * t + c];
 }
 
+/* result (3, m) = direction (3, n) × the integrals over m = n − 1 steps of the splines through values (3, n), with the
+   slopes (3, n); those of the trapezoids where there are none. */
+WIDE_VECTORS static void crossed_integrals(size n, in_t values, in_t slopes, in_t step, in_t direction, out_t result)
+{
+    size m = n - 1;
+    for (size t = 0; t < m; t++) {
+        double half = 0.5 * step[t], bend = step[t] * step[t] / 12;
+        double x = half * (values[t + 1] + values[t]);
+        double y = half * (values[n + t + 1] + values[n + t]);
+        double z = half * (values[2 * n + t + 1] + values[2 * n + t]);
+        if (slopes) {
+            x -= bend * (slopes[t + 1] - slopes[t]);
+            y -= bend * (slopes[n + t + 1] - slopes[n + t]);
+            z -= bend * (slopes[2 * n + t + 1] - slopes[2 * n + t]);
+        }
+        double a = direction[t], b = direction[n + t], c = direction[2 * n + t];
+        result[t] = b * z - c * y;
+        result[m + t] = c * x - a * z;
+        result[2 * m + t] = a * y - b * x;
+    }
+}
+
 #endif

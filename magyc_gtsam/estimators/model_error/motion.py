@@ -7,13 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.rest import moving
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, chained, cross, exponential_matrices, matrices
-from magyc_gtsam.factors.chain.spline import Spline
+from magyc_gtsam.factors.chain.spline import Spline, crossed
 from magyc_gtsam.factors.chain.vech import unvech
 
 SLOW = (1, 7)  # half waves in the recording of a slow variation
@@ -161,6 +162,11 @@ class WindowMotion:
         return replace(self, straight=True)
 
     @cached_property
+    def moving(self) -> np.ndarray:
+        """(n,) bool, windows in which the instrument is not put down."""
+        return moving(self.time, self.rotation)
+
+    @cached_property
     def spread(self) -> float:
         """rad/s, root mean square of the rate of turn per axis."""
         return max(float(np.sqrt(np.mean(self.rate**2))), ALIKE)
@@ -230,17 +236,14 @@ class WindowMotion:
 
     def _links(self, turned: Array) -> Array:
         """Return columns of the links (k, 3, n − 1) rad by rate errors (k, 3, n) rad/s in the integrated world."""
-        integral = self.integral(turned)
-        if self.window is not None:
-            integral = np.add.reduceat(integral, self.window[:-1], axis=-1)
-        return self._across(integral)
+        if self.window is None:
+            return self._spline.crossed_integrals(turned, self.direction, self.straight)
+        return self._across(np.add.reduceat(self.integral(turned), self.window[:-1], axis=-1))
 
     def _across(self, integral: Array) -> Array:
         """Return columns of the links by the integrals over each of rate errors, (k, 3, links) rad."""
         direction = self.direction if self.window is None else self.direction[:, self.window]
-        link = np.empty(integral.shape)
-        cross(direction[:, None, :-1], integral.swapaxes(0, 1), out=link.swapaxes(0, 1))
-        return link
+        return crossed(direction[:, :-1], integral)
 
     def derivative(self, values: Array) -> Array:
         """Return the time derivatives (…, n) of a cubic spline through values (…, n).

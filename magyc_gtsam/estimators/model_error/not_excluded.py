@@ -82,14 +82,14 @@ def not_excluded(
     hypothesis counts.
     """
     there = [each.family for each, _ in shown.active]
-    open_ones = []
+    open_ones, largest = [], []
     for each in every:
         # A bound for the family by itself (beside others its gain may differ): no mean over amplitudes exceeds the
         # maximum of the likelihood.
         unlikely = each.family.prior * _bounded_exp(each.gain) < _LEAST_ODDS
-        if not unlikely and each.family not in there and each.family.likely(motion) > 0:
+        if not unlikely and each.family not in there and (most := each.family.likely(motion)) > 0:
             open_ones.append(each)
-    largest = [each.family.likely(motion) for each in open_ones]
+            largest.append(most)
     hypotheses = _likeliest(beside, open_ones, largest, shown)
     components = []
     for each, move, (odds, known) in zip(open_ones, moves(beside, motion, open_ones), hypotheses, strict=True):

@@ -112,14 +112,16 @@ def inverse_information(information: Array, free: np.ndarray, least: float = 1e-
         free: (p,) bool.
         least: share of each parameter's information below which a direction counts as having that share.
     """
-    result = np.zeros(information.shape)
-    kept = np.ix_(free, free)
-    information = information[kept]
+    if not free.all():
+        result, kept = np.zeros(information.shape), np.ix_(free, free)
+        own = information[kept]
+        result[kept] = inverse_information(own, np.ones(len(own), dtype=bool), least)
+        return result
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     value, vector = np.linalg.eigh(information * scale * scale[:, None])
     value = np.maximum(value, least)
-    result[kept] = (vector / value) @ vector.T * scale * scale[:, None]
-    return result
+    covariance: Array = (vector / value) @ vector.T * scale * scale[:, None]
+    return covariance
 
 
 def colour_of(residual: Array) -> float:

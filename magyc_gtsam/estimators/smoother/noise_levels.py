@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, SETTLED, Fit, descend
+from magyc_gtsam.factors.chain.banded import forward_solved
 from magyc_gtsam.factors.chain.chain_values import Residuals, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
@@ -167,6 +167,6 @@ def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
     reduced = fit.reduced
     on_direction = np.einsum("ian,in->an", reduced.on_direction, whitened)
     on_parameters = reduced.on_parameters.reshape(len(covariance), -1) @ whitened.ravel()
-    half, _ = dtbtrs(reduced.factor, on_direction.T.ravel(), uplo="L")
+    half = forward_solved(reduced.band_factor, on_direction[None])[0]
     left = on_parameters - half @ reduced.half[:, :-1]
     return float(half @ half + left @ covariance @ left)

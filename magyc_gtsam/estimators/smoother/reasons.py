@@ -6,7 +6,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.model_error import ModelError
-from magyc_gtsam.estimators.model_error.drifts import moving
+from magyc_gtsam.estimators.model_error.rest import moving
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.noise_levels import scatter
