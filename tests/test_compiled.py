@@ -98,15 +98,17 @@ def test_settled_directions(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
     close(*both(lambda: fit.chain.settled(fit.state, fit.weights).direction, monkeypatch))
 
 
-@pytest.mark.parametrize("sides", ["windows", "links", "windows and links"])
+@pytest.mark.parametrize("sides", ["windows", "one axis of the windows", "links", "windows and links"])
 @pytest.mark.parametrize("with_terms", [False, True])
 def test_scores(fit: Fit, sides: str, with_terms: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Groups of columns of 1 to 40, beside θ and beside terms of the model."""
     n, random = len(fit.chain.windows), np.random.default_rng(2)
 
-    def columns(count: int) -> UnmodelledColumns:
+    def columns(count: int) -> UnmodelledColumns:  # of two or fewer on all axes
         window = random.normal(size=(count, 3, n)) * 1e-6 if "windows" in sides else None
         link = random.normal(size=(count, 3, n - 1)) * 1e-3 if "links" in sides else None
+        if "axis" in sides and count > 2:
+            return UnmodelledColumns.axis_by_axis(random.normal(size=(count, n)) * 1e-6)
         return UnmodelledColumns(window, link)
 
     if with_terms:

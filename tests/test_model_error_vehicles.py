@@ -145,9 +145,7 @@ def test_a_loop_that_takes_most_of_the_sweep_is_covered() -> None:
     for seed in (0, 2):
         time, random, angles = leaning(seed, 0.1, 0.03)
         field, rate = moved(time, *angles)
-        loop = [
-            share * (followed(field.T.copy(), width).T - field) for share, width in ((0.5, 2e-6), (0.2, 5e-6))
-        ]
+        loop = [share * (followed(field.T.copy(), width).T - field) for share, width in ((0.5, 2e-6), (0.2, 5e-6))]
         assert sigmas(calibrate(recording(random, time, field + sum(loop), rate))) < 2.3
 
 

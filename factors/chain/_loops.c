@@ -7,9 +7,12 @@
 #include "c/directions.h"
 #include "c/gyroscope.h"
 #include "c/linearisation.h"
+#include "c/moments.h"
+#include "c/motion.h"
 #include "c/products.h"
 #include "c/settling.h"
 #include "c/spline.h"
+#include "c/start.h"
 
 /* factor, inverse, right (k, 2, n), solution (k, 2n) */
 static double forward(size n, Arrays *a)
@@ -170,14 +173,14 @@ static double beside_directions(size n, Arrays *a)
 }
 TO_PYTHON(beside_directions, 8, 2)
 
-/* As `whiten` to inverse, then of_window, of_link, rounding (1,), count (groups,) of int64; products, normal: those of
-   the columns with the rows (rows, 3n) of_window and (rows, 3n − 3) of_link, and the information of each group. The
-   columns of one group are below those of the other. */
+/* As `whiten` to inverse, then axis (K,) of int64 or none, of_window, of_link, rounding (1,), count (groups,) of int64;
+   products, normal: those of the columns with the rows (rows, 3n) of_window and (rows, 3n − 3) of_link, and the
+   information of each group. The columns of one group are below those of the other; with an axis each they are (K, n). */
 static double score(size n, Arrays *a)
 {
-    const int64_t *count = (const int64_t *)a->at[12];
-    size groups = entries(a, 12), rows = entries(a, 9) / (3 * n), all = entries(a, 13) / rows;
-    size together = LEAST(2 * TOGETHER, all), window = a->at[0] ? 3 * n : 0, link = a->at[2] ? 3 * (n - 1) : 0;
+    const int64_t *on = (const int64_t *)a->at[9], *count = (const int64_t *)a->at[13];
+    size groups = entries(a, 13), rows = entries(a, 10) / (3 * n), all = entries(a, 14) / rows;
+    size together = LEAST(TOGETHER, all), window = a->at[0] ? (on ? n : 3 * n) : 0, link = a->at[2] ? 3 * (n - 1) : 0;
     for (size g = 0; g < groups; g++)
         if (count[g] > together)
             together = (size)count[g];
@@ -187,17 +190,18 @@ static double score(size n, Arrays *a)
     double *white_link = white + window * together, *half = white_link + link * together;
     size *place = (size *)(half + 2 * n * together);
     Fit f = {.columns = whitening(n, entries(a, 1) > n, a->at, white, white_link, half),
-             .rows = rows, .of_window = a->at[9], .of_link = a->at[10],
+             .rows = rows, .of_window = a->at[10], .of_link = a->at[11],
              .place = {place, place + together, place + 2 * together}};
-    double *normal = a->at[14];
+    f.columns.on = on;
+    double *normal = a->at[15];
     for (size g = 0, own = 0; g < groups;) {
         size stop = g, some = 0;
         while (stop < groups && some + (size)count[stop] <= together)
             some += (size)count[stop++];
-        products_of(&f, own, some, all, a->at[13]);
+        products_of(&f, own, some, all, a->at[14]);
         for (size first = 0; g < stop; first += (size)count[g++]) {
             size k = (size)count[g];
-            information(&f, first, k, a->at[13] + own + first, all, a->at[11][0], normal);
+            information(&f, first, k, a->at[14] + own + first, all, a->at[12][0], normal);
             normal += k * k;
         }
         own += some;
@@ -205,7 +209,7 @@ static double score(size n, Arrays *a)
     PyMem_RawFree(white);
     return 0.0;
 }
-TO_PYTHON(score, 15, 2)
+TO_PYTHON(score, 16, 2)
 
 /* vector (3, n); p, q */
 static double chain(size n, Arrays *a)
@@ -231,7 +235,7 @@ static double sum_windows(size n, Arrays *a)
 }
 TO_PYTHON(sum_windows, 6, 1)
 
-/* values (k, n), inverse (n − 1,) of the steps, the factors diagonal (n − 2,) and below (n − 3,); slopes (k, n), n > 3 */
+/* values (k, n), inverse (n − 1,) of the steps, share (n − 2,) and below (n − 3,) of `Spline`; slopes (k, n), n > 3 */
 static double spline_slopes(size n, Arrays *a)
 {
     size count = entries(a, 0) / n;
@@ -276,12 +280,102 @@ TO_PYTHON(follow, 3, 1)
 static double increments(size n, Arrays *a) { return turns_between(n, a->at[0], a->at[1], a->at[2], a->at[3]); }
 TO_PYTHON(increments, 4, 1)
 
+/* count (groups,) of int64, value (K,), vector (K k), pull (K,), variance, weight, level (groups, m); second (K k) */
+static double average_moments(size m, Arrays *a)
+{
+    const int64_t *count = (const int64_t *)a->at[0];
+    size most = 0, row = 0, entry = 0;
+    for (size g = 0; g < entries(a, 0); g++)
+        most = count[g] > most ? (size)count[g] : most;
+    double *work = room(a, most * (2 * most + m));
+    if (!work)
+        return 0.0;
+    for (size g = 0; g < entries(a, 0); g++) {
+        size k = (size)count[g];
+        averaged_moment(k, m, a->at[1] + row, a->at[2] + entry, a->at[3] + row, a->at[4] + g * m, a->at[5] + g * m,
+                        a->at[6] + g * m, work, a->at[7] + entry);
+        row += k;
+        entry += k * k;
+    }
+    PyMem_RawFree(work);
+    return 0.0;
+}
+TO_PYTHON(average_moments, 8, 1)
+
+/* p; count (groups,) of int64, moves (p, K), second (K k); covariance (groups, p, p) */
+static double propagate(size p, Arrays *a)
+{
+    const int64_t *count = (const int64_t *)a->at[0];
+    size all = entries(a, 1) / p, row = 0, entry = 0;
+    double *work = room(a, p * all);
+    if (!work)
+        return 0.0;
+    for (size g = 0; g < entries(a, 0); g++) {
+        congruence(p, (size)count[g], a->at[1] + row, all, a->at[2] + entry, work, a->at[3] + g * p * p);
+        row += (size)count[g];
+        entry += (size)(count[g] * count[g]);
+    }
+    PyMem_RawFree(work);
+    return 0.0;
+}
+TO_PYTHON(propagate, 4, 1)
+
+/* before, after, lever (3, 3, n), turned_back, field_before, field_after (3, n), hard_iron (3,), units (5, 3, 3), constant
+   (3, n), weight (n,); columns (k, 3, n), normal (k, k), right (k,) */
+static double start_from(size n, Arrays *a)
+{
+    double **at = a->at;
+    Pairs p = {n, entries(a, 12), at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]};
+    double *weighted = room(a, 3 * n * p.count);
+    if (!weighted)
+        return 0.0;
+    start_columns(&p, at[10]);
+    start_equations(&p, at[10], at[8], at[9], weighted, at[11], at[12]);
+    PyMem_RawFree(weighted);
+    return 0.0;
+}
+TO_PYTHON(start_from, 13, 3)
+
+/* columns (k, 3, n), solution (k,), constant (3, n); square (n,) */
+static double start_left(size n, Arrays *a)
+{
+    start_misfit(n, entries(a, 1), a->at[0], a->at[1], a->at[2], a->at[3]);
+    return 0.0;
+}
+TO_PYTHON(start_left, 4, 1)
+
+/* rotation, change (3, 3, n), direction (3, n); unit, slope, rate (3, n) */
+static double turn_rates(size n, Arrays *a)
+{
+    turning(n, a->at[0], a->at[1], a->at[2], a->at[3], a->at[4], a->at[5]);
+    return 0.0;
+}
+TO_PYTHON(turn_rates, 6, 3)
+
+/* p, q, direction (3, n); world (3, 3, n) */
+static double align(size n, Arrays *a)
+{
+    aligned(n, a->at[0], a->at[1], a->at[2], a->at[3]);
+    return 0.0;
+}
+TO_PYTHON(align, 4, 1)
+
+/* rotation (3, 3, n); angle (n − 1,) */
+static double angles(size n, Arrays *a)
+{
+    angles_between(n, a->at[0], a->at[1]);
+    return 0.0;
+}
+TO_PYTHON(angles, 2, 1)
+
 static PyMethodDef methods[] = {
     METHOD(forward), METHOD(backward), METHOD(linearise), METHOD(eliminate),   METHOD(absorbed),
     METHOD(move),    METHOD(rotate),   METHOD(turn),      METHOD(whiten),      METHOD(score),
     METHOD(chain),   METHOD(lever),    METHOD(sum_windows), METHOD(spline_slopes),
     METHOD(directions), METHOD(step), METHOD(beside_directions),
-    METHOD(cross_integrals), METHOD(follow), METHOD(increments), {NULL, NULL, 0, NULL},
+    METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
+    METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
+    METHOD(angles), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

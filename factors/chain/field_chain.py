@@ -107,7 +107,7 @@ class FieldChain:
 
         A window whose field equals the hard iron has no direction of its own and starts along x.
         """
-        body = np.linalg.solve(iron_matrix(parameters), self.windows.field - parameters[6:9, None])
+        body = np.linalg.inv(iron_matrix(parameters)) @ (self.windows.field - parameters[6:9, None])
         body[0] += ~body.any(axis=0)
         g = np.einsum("ijn,in->jn", self.rotation(parameters), body)
         return ChainState(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))

@@ -17,20 +17,22 @@ class Spline(NamedTuple):
     """The splines through values at n > 3 times, whose first and last slopes are those of the first and the last step.
 
     step (n − 1,) s; inverse (n − 1,) 1/s; diagonal, below (n − 2,), (n − 3,): factors of the tridiagonal matrix of the
-    inner slopes.
+    inner slopes; share (n − 2,): reciprocals of the diagonal.
     """
 
     step: Array
     inverse: Array
     diagonal: Array
     below: Array
+    share: Array
 
     @classmethod
     def at(cls, time: Array) -> Spline:
         """Return the splines at ascending times (n,) s."""
         step = np.maximum(np.diff(time), _LEAST)
         inverse = 1 / step
-        return cls(step, inverse, *dpttrf(2 * (inverse[1:] + inverse[:-1]), inverse[1:-1])[:2])
+        diagonal, below, _ = dpttrf(2 * (inverse[1:] + inverse[:-1]), inverse[1:-1])
+        return cls(step, inverse, diagonal, below, 1 / diagonal)
 
     def slopes(self, values: Array) -> Array:
         """Return the derivatives (…, n) at the times of the splines through values (…, n)."""
@@ -38,7 +40,7 @@ class Spline(NamedTuple):
         rows = values.reshape(-1, n)
         slope = np.empty(rows.shape)
         if compiled.loops:
-            factors = inverse, self.diagonal, self.below
+            factors = inverse, self.share, self.below
             compiled.loops.spline_slopes(n, compiled.given(rows), *factors, slope)
             return slope.reshape(values.shape)
         rise = rows[:, 1:] - rows[:, :-1]

@@ -41,8 +41,20 @@ WIDE_VECTORS static void of_links(size m, size first, size stop, in_t x, in_t sc
     }
 }
 
+/* White windows w (n,) = x times scale of a column on one axis, and their products with the Jacobian. */
+WIDE_VECTORS static void of_axis(size first, size stop, in_t x, in_t scale, in_t j0, in_t j1, out_t w, out_t b0, out_t b1)
+{
+    for (size t = first; t < stop; t++) {
+        double a = x[t] * scale[t];
+        w[t] = a;
+        b0[t - first] = j0[t] * a;
+        b1[t - first] = j1[t] * a;
+    }
+}
+
 typedef struct {
     size n, axis;
+    const int64_t *on; /* the axis of the windows of each column, (k,), or NULL if they are on all */
     const double *window, *window_scale, *link, *link_scale, *on_direction, *before, *after, *factor, *inverse;
     double *white_window, *white_link, *absorbed;
 } Columns;
@@ -50,7 +62,7 @@ typedef struct {
 /* From the first arrays of `whiten` and of `score`, and the room for what is whitened. */
 static Columns whitening(size n, int each_axis, double *const *at, double *window, double *link, double *absorbed)
 {
-    Columns result = {n,     each_axis ? n : 0, at[0], at[1], at[2],  at[3], at[4],
+    Columns result = {n,     each_axis ? n : 0, NULL,  at[0], at[1], at[2],  at[3], at[4],
                       at[5], at[6],             at[7], at[8], window, link,  absorbed};
     return result;
 }
@@ -65,7 +77,12 @@ static void whiten_together(const Columns *k, size own, size some)
         size stop = LEAST(n, first + STRETCH);
         for (size c = 0; c < some; c++) {
             size window = 3 * n * (own + c), link = 3 * m * (own + c);
-            if (k->window)
+            if (k->on) {
+                size i = (size)k->on[own + c], at = n * (own + c);
+                const double *j = k->on_direction + 2 * i * n;
+                of_axis(first, stop, k->window + at, k->window_scale + i * k->axis, j, j + n, k->white_window + at, b,
+                        b + STRETCH);
+            } else if (k->window)
                 of_windows(n, first, stop, k->window + window, k->window_scale, k->axis, k->on_direction,
                            k->white_window + window, b, b + STRETCH);
             else
@@ -86,37 +103,34 @@ typedef struct {
     Columns columns; /* white_window, white_link and absorbed are room for some columns */
     size rows;
     const double *of_window, *of_link;
-    size *place[3], count[3]; /* of the columns there, those that are not zero on each axis of the windows */
+    size *place[3], count[3]; /* numbers of the columns there on each axis, if they are on one */
 } Fit;
-
-static int is_zero(size n, in_t x)
-{
-    for (size t = 0; t < n; t++)
-        if (x[t] != 0.0)
-            return 0;
-    return 1;
-}
 
 /* The white columns own to own + some of `all`, and their products (rows, all). */
 static void products_of(Fit *f, size own, size some, size all, double *products)
 {
     const Columns *k = &f->columns;
-    size n = k->n, m = n - 1;
+    size n = k->n, m = n - 1, length = k->on ? n : 3 * n;
     Columns part = *k; /* read from `own` on, written from the start */
-    part.window = k->window ? k->window + 3 * n * own : NULL;
+    part.window = k->window ? k->window + length * own : NULL;
     part.link = k->link ? k->link + 3 * m * own : NULL;
+    part.on = k->on ? k->on + own : NULL;
     for (size first = 0; first < some; first += TOGETHER)
         whiten_together(&part, first, LEAST(TOGETHER, some - first));
     for (size i = 0; i < f->rows; i++)
         memset(products + i * all + own, 0, sizeof(double) * (size_t)some);
-    for (int i = 0; i < 3; i++) {
+    for (size i = 0; part.on && i < 3; i++) {
         f->count[i] = 0;
-        for (size c = 0; k->window && c < some; c++)
-            if (!is_zero(n, k->white_window + (3 * c + i) * n))
+        for (size c = 0; c < some; c++)
+            if ((size)part.on[c] == i)
                 f->place[i][f->count[i]++] = c;
         Rows rows = {f->of_window + i * n, 3 * n, f->rows, NULL, 0};
-        Rows columns = {k->white_window + i * n, 3 * n, f->count[i], f->place[i], 0};
+        Rows columns = {k->white_window, n, f->count[i], f->place[i], 0};
         add_products(n, 1.0, rows, columns, products + own, all);
+    }
+    if (k->window && !part.on) {
+        Rows rows = {f->of_window, 3 * n, f->rows, NULL, 0}, columns = {k->white_window, 3 * n, some, NULL, 0};
+        add_products(3 * n, 1.0, rows, columns, products + own, all);
     }
     if (k->link) {
         Rows rows = {f->of_link, 3 * m, f->rows, NULL, 0}, columns = {k->white_link, 3 * m, some, NULL, 0};
@@ -135,15 +149,17 @@ static void information(const Fit *f, size first, size k, const double *explaine
     add_whole_gram(2 * n, -1.0, c->absorbed + 2 * n * first, k, normal);
     for (size i = 0; i < k; i++) /* the ridge below is of the columns themselves */
         normal[i * k + i] /= 1 + rounding;
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; c->on && i < 3; i++) {
         size begin = 0, stop;
         while (begin < f->count[i] && f->place[i][begin] < first)
             begin++;
         for (stop = begin; stop < f->count[i] && f->place[i][stop] < first + k;)
             stop++;
-        Rows rows = {c->white_window + (3 * first + i) * n, 3 * n, stop - begin, f->place[i] + begin, first};
+        Rows rows = {c->white_window + n * first, n, stop - begin, f->place[i] + begin, first};
         add_gram(n, 1.0, rows, normal, k);
     }
+    if (c->window && !c->on)
+        add_whole_gram(3 * n, 1.0, c->white_window + 3 * n * first, k, normal);
     if (c->link)
         add_whole_gram(3 * m, 1.0, c->white_link + 3 * m * first, k, normal);
     for (size i = 0; i < k; i++) {

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.motion import WindowMotion, each_axis
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
@@ -44,7 +44,7 @@ def _since_mean(motion: WindowMotion) -> Array:
 
 def _gain(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a gain on the whole reading that changes linearly with time, one per axis."""
-    return UnmodelledColumns(each_axis(_since_mean(motion) * motion.reading), None)
+    return UnmodelledColumns.axis_by_axis(_since_mean(motion) * motion.reading)
 
 
 def _gain_at_end(motion: WindowMotion) -> Array:
@@ -60,7 +60,7 @@ def _gain_at_end(motion: WindowMotion) -> Array:
 
 def _offset(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a hard iron that changes linearly with time, one per axis."""
-    return UnmodelledColumns(each_axis(motion.strength * np.tile(_since_mean(motion), (3, 1))), None)
+    return motion.in_sensor(_since_mean(motion)[None])
 
 
 def _offset_at_end(motion: WindowMotion) -> Array:
@@ -92,7 +92,7 @@ def _late(motion: WindowMotion, onset: float = _ONSET) -> UnmodelledColumns:
     """Return the columns of a hard iron that begins to change at a share of the recording, linearly up to its end."""
     share = (motion.time - motion.time[0]) / (motion.time[-1] - motion.time[0])
     ramp = late_up_to(1.0)(motion) * np.maximum(share - onset, 0.0) / (1 - onset)
-    return UnmodelledColumns(each_axis(motion.strength * np.tile(ramp, (3, 1))), None)
+    return motion.in_sensor(ramp[None])
 
 
 LATE = LinearDrift(_late, _offset_at_end)

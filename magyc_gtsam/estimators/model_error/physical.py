@@ -15,7 +15,7 @@ import numpy as np
 from magyc_gtsam.estimators.model_error import drifts
 from magyc_gtsam.estimators.model_error.by_attitude import flex
 from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, LIKELY, USUAL, ColumnFamily
-from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion, each_axis
+from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array
@@ -70,7 +70,7 @@ def _play(motion: WindowMotion, width: float = _WIDTH) -> UnmodelledColumns:
     behind = (followed(motion.reading, width) - motion.reading) / width
     less = motion.reading.mean(axis=1, keepdims=True) - motion.reading
     less /= np.maximum(np.sqrt(2 * np.mean(less**2, axis=1, keepdims=True)), ALIKE * motion.strength)
-    return UnmodelledColumns(motion.strength * np.concatenate([each_axis(behind), each_axis(less)]), None)
+    return UnmodelledColumns.axis_by_axis(motion.strength * np.concatenate([behind, less]))
 
 
 def followed(values: Array, width: float) -> Array:
@@ -97,7 +97,7 @@ def followed(values: Array, width: float) -> Array:
 def _late_axis(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns, per s, of a lag of each axis against the others, to first and to second order."""
     first, second = motion.reading_change, motion.reading_curvature
-    return UnmodelledColumns(np.concatenate([each_axis(first), 0.5 * _LATE * each_axis(second)]), None)
+    return UnmodelledColumns.axis_by_axis(np.concatenate([first, 0.5 * _LATE * second]))
 
 
 def _filter(motion: WindowMotion) -> UnmodelledColumns:
@@ -110,9 +110,7 @@ def _steps(motion: WindowMotion) -> UnmodelledColumns:
     swept = motion.reading_change * np.gradient(motion.time)
     phase = 2 * np.pi * motion.reading / motion.step
     size = motion.strength * np.sinc(swept / motion.step)
-    return UnmodelledColumns(
-        np.concatenate([each_axis(size * np.sin(phase)), each_axis(size * np.cos(phase))]), None
-    )
+    return UnmodelledColumns.axis_by_axis(np.concatenate([size * np.sin(phase), size * np.cos(phase)]))
 
 
 def _by_step(motion: WindowMotion) -> float:

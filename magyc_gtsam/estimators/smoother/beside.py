@@ -74,22 +74,22 @@ class ColumnProducts(WhitenedFit):
         """Return score and information of each group; groups on the same sensors are eliminated together."""
         result: dict[int, tuple[Array, Array, Array]] = {}
         waiting: dict[object, dict[int, UnmodelledColumns]] = {}
-        windows = len(self.fit.chain.windows)
+        count: dict[object, int] = {}
+        most = _TOGETHER // len(self.fit.chain.windows)
         for i, make in enumerate(groups):
             group = make()
-            alike = waiting.setdefault((group.window is None, group.link is None), {})
-            alike[i] = group
-            if sum(each.size for each in alike.values()) * windows >= _TOGETHER:
-                result |= self._of_alike(alike)
-                alike.clear()
+            sensors = group.window is None, group.link is None, group.axis is None
+            waiting.setdefault(sensors, {})[i] = group
+            count[sensors] = count.get(sensors, 0) + group.size
+            if count[sensors] > most:
+                result |= self._of_alike(waiting.pop(sensors))
+                count[sensors] = 0
         for alike in waiting.values():
             result |= self._of_alike(alike)
         return [ColumnScore(*result[i], make, self) for i, make in enumerate(groups)]
 
     def _of_alike(self, groups: dict[int, UnmodelledColumns]) -> dict[int, tuple[Array, Array, Array]]:
         """Return {key: (G, s, explained)} of groups that are all on the same sensors."""
-        if not groups:
-            return {}
         columns, sizes = joined(list(groups.values())), [group.size for group in groups.values()]
         explained, score, normals = (self._compiled if compiled.loops else self._in_numpy)(columns, sizes)
         result, first = {}, 0
@@ -112,6 +112,7 @@ class ColumnProducts(WhitenedFit):
             compiled.given(columns.link),
             link_scale,
             *jacobians,
+            compiled.given(columns.axis),
             of_window,
             of_link,
             np.array([ROUNDING]),
@@ -146,14 +147,11 @@ class ColumnProducts(WhitenedFit):
         own, left = self.estimated, self.left
         root = own.explained(np.eye(len(own.free)))
         score = left.explained @ root
-        half, window = (
-            np.concatenate([root @ rows, [score @ rows - rest]])
-            for rows, rest in (
-                (own.half, left.absorbed),
-                (own.window.reshape(len(own.free), -1), left.window),
-            )
-        )
-        link = np.concatenate([root[:, own.linked] @ own.link, [score[own.linked] @ own.link - left.link]])
+        along = np.vstack([root, score])
+        half, window = along @ own.half, along @ own.window.reshape(len(own.free), -1)
+        link = along[:, own.linked] @ own.link
+        for rows, rest in ((half, left.absorbed), (window, left.window), (link, left.link)):
+            rows[-1] -= rest
         return self.beside_directions(half, window, link)
 
     def move(self, new: ColumnScore) -> Array:

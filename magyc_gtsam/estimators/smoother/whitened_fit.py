@@ -198,7 +198,7 @@ class WhitenedFit:
         pull += 0.0 if self._past is None else self._past.gradient[:size]
         if terms is None:
             return Estimated(fit.free, reduced.on_parameters, _BIAS, on_bias, half, reduced.information, pull)
-        count, (own_window, own_link) = terms.columns.size, terms.columns
+        count, (own_window, own_link) = terms.columns.size, terms.columns[:2]
         window = np.zeros((count, 3, n)) if own_window is None else own_window * self._residual_scale
         link = np.zeros((count, 3, n - 1)) if own_link is None else own_link * self.link_scale
         absorbed = self.absorbed(window, link)
@@ -218,13 +218,14 @@ class WhitenedFit:
 
     def whiten(self, columns: UnmodelledColumns) -> tuple[Array | None, Array | None, Array]:
         """Return columns whitened: of the windows (k, 3n) and of the links (k, 3n − 3), if any, and Zᵀ (k, 2n)."""
+        columns = columns.on_all_axes
         if compiled.loops is None:
             window = None if columns.window is None else columns.window * self.window_scale
             link = None if columns.link is None else columns.link * self.link_scale
             flat = (None if part is None else part.reshape(len(part), -1) for part in (window, link))
             return *flat, self.absorbed(window, link)  # type: ignore[return-value]
         count, n = columns.size, len(self.fit.chain.windows)
-        window, link = (None if part is None else np.empty((count, part[0].size)) for part in columns)
+        window, link = (None if part is None else np.empty((count, part[0].size)) for part in columns[:2])
         absorbed = np.empty((count, 2 * n))
         scale, link_scale, *jacobians = self._whitening
         compiled.loops.whiten(
