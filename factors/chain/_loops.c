@@ -11,6 +11,7 @@
 #include "c/motion.h"
 #include "c/products.h"
 #include "c/settling.h"
+#include "c/samples.h"
 #include "c/spline.h"
 #include "c/start.h"
 
@@ -235,32 +236,6 @@ static double sum_windows(size n, Arrays *a)
 }
 TO_PYTHON(sum_windows, 6, 1)
 
-/* values (k, n), inverse (n − 1,) of the steps, share (n − 2,) and below (n − 3,) of `Spline`; slopes (k, n), n > 3 */
-static double spline_slopes(size n, Arrays *a)
-{
-    size count = entries(a, 0) / n;
-    double *work = room(a, TOGETHER * n);
-    if (!work)
-        return 0.0;
-    memset(work, 0, sizeof(double) * TOGETHER * (size_t)n);
-    for (size own = 0; own < count; own += TOGETHER)
-        slopes_together(n, a->at[0] + own * n, a->at[1], a->at[2], a->at[3], LEAST(TOGETHER, count - own),
-                        a->at[4] + own * n, work);
-    PyMem_RawFree(work);
-    return 0.0;
-}
-TO_PYTHON(spline_slopes, 5, 1)
-
-/* values (k, 3, n), slopes (k, 3, n) or none, step (n − 1,), direction (3, n); result (k, 3, n − 1) */
-static double cross_integrals(size n, Arrays *a)
-{
-    for (size c = 0; c < entries(a, 0) / (3 * n); c++)
-        crossed_integrals(n, a->at[0] + 3 * n * c, a->at[1] ? a->at[1] + 3 * n * c : NULL, a->at[2], a->at[3],
-                          a->at[4] + 3 * (n - 1) * c);
-    return 0.0;
-}
-TO_PYTHON(cross_integrals, 5, 1)
-
 /* values (k, n), width (1,); result (k, n): what follows the values in a play */
 static double follow(size n, Arrays *a)
 {
@@ -280,94 +255,6 @@ TO_PYTHON(follow, 3, 1)
 static double increments(size n, Arrays *a) { return turns_between(n, a->at[0], a->at[1], a->at[2], a->at[3]); }
 TO_PYTHON(increments, 4, 1)
 
-/* count (groups,) of int64, value (K,), vector (K k), pull (K,), variance, weight, level (groups, m); second (K k) */
-static double average_moments(size m, Arrays *a)
-{
-    const int64_t *count = (const int64_t *)a->at[0];
-    size most = 0, row = 0, entry = 0;
-    for (size g = 0; g < entries(a, 0); g++)
-        most = count[g] > most ? (size)count[g] : most;
-    double *work = room(a, most * (2 * most + m));
-    if (!work)
-        return 0.0;
-    for (size g = 0; g < entries(a, 0); g++) {
-        size k = (size)count[g];
-        averaged_moment(k, m, a->at[1] + row, a->at[2] + entry, a->at[3] + row, a->at[4] + g * m, a->at[5] + g * m,
-                        a->at[6] + g * m, work, a->at[7] + entry);
-        row += k;
-        entry += k * k;
-    }
-    PyMem_RawFree(work);
-    return 0.0;
-}
-TO_PYTHON(average_moments, 8, 1)
-
-/* p; count (groups,) of int64, moves (p, K), second (K k); covariance (groups, p, p) */
-static double propagate(size p, Arrays *a)
-{
-    const int64_t *count = (const int64_t *)a->at[0];
-    size all = entries(a, 1) / p, row = 0, entry = 0;
-    double *work = room(a, p * all);
-    if (!work)
-        return 0.0;
-    for (size g = 0; g < entries(a, 0); g++) {
-        congruence(p, (size)count[g], a->at[1] + row, all, a->at[2] + entry, work, a->at[3] + g * p * p);
-        row += (size)count[g];
-        entry += (size)(count[g] * count[g]);
-    }
-    PyMem_RawFree(work);
-    return 0.0;
-}
-TO_PYTHON(propagate, 4, 1)
-
-/* before, after, lever (3, 3, n), turned_back, field_before, field_after (3, n), hard_iron (3,), units (5, 3, 3), constant
-   (3, n), weight (n,); columns (k, 3, n), normal (k, k), right (k,) */
-static double start_from(size n, Arrays *a)
-{
-    double **at = a->at;
-    Pairs p = {n, entries(a, 12), at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]};
-    double *weighted = room(a, 3 * n * p.count);
-    if (!weighted)
-        return 0.0;
-    start_columns(&p, at[10]);
-    start_equations(&p, at[10], at[8], at[9], weighted, at[11], at[12]);
-    PyMem_RawFree(weighted);
-    return 0.0;
-}
-TO_PYTHON(start_from, 13, 3)
-
-/* columns (k, 3, n), solution (k,), constant (3, n); square (n,) */
-static double start_left(size n, Arrays *a)
-{
-    start_misfit(n, entries(a, 1), a->at[0], a->at[1], a->at[2], a->at[3]);
-    return 0.0;
-}
-TO_PYTHON(start_left, 4, 1)
-
-/* rotation, change (3, 3, n), direction (3, n); unit, slope, rate (3, n) */
-static double turn_rates(size n, Arrays *a)
-{
-    turning(n, a->at[0], a->at[1], a->at[2], a->at[3], a->at[4], a->at[5]);
-    return 0.0;
-}
-TO_PYTHON(turn_rates, 6, 3)
-
-/* p, q, direction (3, n); world (3, 3, n) */
-static double align(size n, Arrays *a)
-{
-    aligned(n, a->at[0], a->at[1], a->at[2], a->at[3]);
-    return 0.0;
-}
-TO_PYTHON(align, 4, 1)
-
-/* rotation (3, 3, n); angle (n − 1,) */
-static double angles(size n, Arrays *a)
-{
-    angles_between(n, a->at[0], a->at[1]);
-    return 0.0;
-}
-TO_PYTHON(angles, 2, 1)
-
 static PyMethodDef methods[] = {
     METHOD(forward), METHOD(backward), METHOD(linearise), METHOD(eliminate),   METHOD(absorbed),
     METHOD(move),    METHOD(rotate),   METHOD(turn),      METHOD(whiten),      METHOD(score),
@@ -375,7 +262,8 @@ static PyMethodDef methods[] = {
     METHOD(directions), METHOD(step), METHOD(beside_directions),
     METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
     METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
-    METHOD(angles), {NULL, NULL, 0, NULL},
+    METHOD(angles), METHOD(second_differences), METHOD(stand_out), METHOD(alternate), METHOD(calm_blocks),
+    METHOD(hash_cells), METHOD(hash_runs), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

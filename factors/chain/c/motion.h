@@ -3,6 +3,7 @@
 #ifndef MAGYC_MOTION_H
 #define MAGYC_MOTION_H
 
+#include "arguments.h"
 #include "directions.h"
 #include "gyroscope.h"
 
@@ -67,5 +68,29 @@ WIDE_VECTORS static void angles_between(size n, in_t rotation, out_t angle)
         angle[t] = acos(fmin(fmax(0.5 * (trace - 1), -1.0), 1.0));
     }
 }
+
+/* rotation, change (3, 3, n), direction (3, n); unit, slope, rate (3, n) */
+static double turn_rates(size n, Arrays *a)
+{
+    turning(n, a->at[0], a->at[1], a->at[2], a->at[3], a->at[4], a->at[5]);
+    return 0.0;
+}
+TO_PYTHON(turn_rates, 6, 3)
+
+/* p, q, direction (3, n); world (3, 3, n) */
+static double align(size n, Arrays *a)
+{
+    aligned(n, a->at[0], a->at[1], a->at[2], a->at[3]);
+    return 0.0;
+}
+TO_PYTHON(align, 4, 1)
+
+/* rotation (3, 3, n); angle (n − 1,) */
+static double angles(size n, Arrays *a)
+{
+    angles_between(n, a->at[0], a->at[1]);
+    return 0.0;
+}
+TO_PYTHON(angles, 2, 1)
 
 #endif

@@ -3,7 +3,7 @@
 #ifndef MAGYC_SPLINE_H
 #define MAGYC_SPLINE_H
 
-#include "common.h"
+#include "arguments.h"
 
 #define FEW 4
 
@@ -77,5 +77,31 @@ WIDE_VECTORS static void crossed_integrals(size n, in_t values, in_t slopes, in_
         result[2 * m + t] = a * y - b * x;
     }
 }
+
+/* values (k, n), inverse (n − 1,) of the steps, share (n − 2,) and below (n − 3,) of `Spline`; slopes (k, n), n > 3 */
+static double spline_slopes(size n, Arrays *a)
+{
+    size count = entries(a, 0) / n;
+    double *work = room(a, TOGETHER * n);
+    if (!work)
+        return 0.0;
+    memset(work, 0, sizeof(double) * TOGETHER * (size_t)n);
+    for (size own = 0; own < count; own += TOGETHER)
+        slopes_together(n, a->at[0] + own * n, a->at[1], a->at[2], a->at[3], LEAST(TOGETHER, count - own),
+                        a->at[4] + own * n, work);
+    PyMem_RawFree(work);
+    return 0.0;
+}
+TO_PYTHON(spline_slopes, 5, 1)
+
+/* values (k, 3, n), slopes (k, 3, n) or none, step (n − 1,), direction (3, n); result (k, 3, n − 1) */
+static double cross_integrals(size n, Arrays *a)
+{
+    for (size c = 0; c < entries(a, 0) / (3 * n); c++)
+        crossed_integrals(n, a->at[0] + 3 * n * c, a->at[1] ? a->at[1] + 3 * n * c : NULL, a->at[2], a->at[3],
+                          a->at[4] + 3 * (n - 1) * c);
+    return 0.0;
+}
+TO_PYTHON(cross_integrals, 5, 1)
 
 #endif

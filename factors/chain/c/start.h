@@ -3,6 +3,7 @@
 #ifndef MAGYC_START_H
 #define MAGYC_START_H
 
+#include "arguments.h"
 #include "products.h"
 
 typedef struct {
@@ -78,5 +79,29 @@ WIDE_VECTORS static void start_misfit(size n, size count, in_t columns, in_t sol
             square[t] += left * left;
         }
 }
+
+/* before, after, lever (3, 3, n), turned_back, field_before, field_after (3, n), hard_iron (3,), units (5, 3, 3), constant
+   (3, n), weight (n,); columns (k, 3, n), normal (k, k), right (k,) */
+static double start_from(size n, Arrays *a)
+{
+    double **at = a->at;
+    Pairs p = {n, entries(a, 12), at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]};
+    double *weighted = room(a, 3 * n * p.count);
+    if (!weighted)
+        return 0.0;
+    start_columns(&p, at[10]);
+    start_equations(&p, at[10], at[8], at[9], weighted, at[11], at[12]);
+    PyMem_RawFree(weighted);
+    return 0.0;
+}
+TO_PYTHON(start_from, 13, 3)
+
+/* columns (k, 3, n), solution (k,), constant (3, n); square (n,) */
+static double start_left(size n, Arrays *a)
+{
+    start_misfit(n, entries(a, 1), a->at[0], a->at[1], a->at[2], a->at[3]);
+    return 0.0;
+}
+TO_PYTHON(start_left, 4, 1)
 
 #endif

@@ -9,15 +9,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from magyc_gtsam.estimators.smoother.preparation import Streams
+from magyc_gtsam.factors.chain import compiled
 
 _BLOCK = 64  # samples after which the order of the two may have changed, by a lost sample
 _BLOCKS = 300  # most blocks used, evenly from the whole log
 _LEAST = 256  # samples
 _SHARE = 3 / 8  # variance of a sample's alternation by itself over that of its noise
-_SIGNS = np.resize([1.0, -1.0], _BLOCK) / _BLOCK
 _SIGNIFICANT = 18.0  # gain in log-likelihood; 29 real logs reach 1.6, 240 simulated ones 6.7
 
 
@@ -50,19 +49,10 @@ def alternating(recording: Streams) -> Alternation | None:
     value = recording.magnetometer.value
     if len(value) < _LEAST:
         return None
-    count, long = (len(value) - 2) // _BLOCK, _BLOCK + 2  # blocks, and samples of each with their neighbours
-    if count > _BLOCKS:
-        first = _BLOCK * np.linspace(0, count - 1, _BLOCKS).astype(int)
-        value = value[first[:, None] + np.arange(long)].reshape(-1, 3)
-    axes = np.ascontiguousarray(value.T)
-    field = sliding_window_view(axes, long, axis=1)[:, :: _BLOCK if count <= _BLOCKS else long]
-    blocks = field[..., :-2] + field[..., 2:]
-    blocks *= -0.25
-    blocks += 0.5 * field[..., 1:-1]
-    mean = blocks @ _SIGNS
-    # By each block's own scatter: that of rounded readings is in a few blocks, where one is near a step.
-    away = blocks - mean[:, :, None] * (_BLOCK * _SIGNS)
-    inside = np.einsum("abk,abk->ab", away, away)
+    first = _BLOCK * np.arange((len(value) - 2) // _BLOCK)
+    if len(first) > _BLOCKS:
+        first = first[np.linspace(0, len(first) - 1, _BLOCKS).astype(int)]
+    mean, inside = _of_blocks(value, first)
     noise = inside / ((_BLOCK - 3) * _SHARE * _BLOCK)  # T², variance of `mean`
     square = np.square(mean)
     ratio = float(np.divide(square, noise, out=np.zeros_like(square), where=noise > 1e-30).mean())
@@ -70,3 +60,20 @@ def alternating(recording: Streams) -> Alternation | None:
     if gain < _SIGNIFICANT:
         return None
     return Alternation(mean @ mean.T / mean.shape[1], gain)
+
+
+def _of_blocks(value: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (3, blocks) the alternation in each block, and the sum of squares about it.
+
+    By each block's own scatter: that of rounded readings is in a few blocks, where one is near a step.
+    """
+    if compiled.loops:
+        mean, inside = np.empty((3, len(first))), np.empty((3, len(first)))
+        inputs = map(compiled.given, (value, first.astype(np.int64)))
+        compiled.loops.alternate(_BLOCK, *inputs, mean, inside)
+        return mean, inside
+    field = value.T[:, first[:, None] + np.arange(_BLOCK + 2)]  # axes, blocks, samples with their neighbours
+    blocks = 0.5 * field[..., 1:-1] - 0.25 * (field[..., :-2] + field[..., 2:])
+    blocks[..., 1::2] *= -1
+    mean = blocks.mean(axis=2)
+    return mean, np.square(blocks - mean[:, :, None]).sum(axis=2)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from magyc_gtsam.estimators.smoother.preparation import Streams, magnetometer_noise
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.sensor_faults.noise import white_noise
@@ -79,12 +80,11 @@ def one_sided(recording: Streams) -> Outliers | None:
     time, field = _stretch(*recording.magnetometer)
     if len(time) < _LEAST:
         return None
-    axes = np.ascontiguousarray(field.T)
-    standing = axes[:, 2:-2] - _median_of_five(axes)
-    found = _mean_of(standing)
+    found = _beside_medians(field)
     if np.abs(found.shift / found.sigma).max() <= _CERTAIN:
         return None
-    standing = standing[:, _BESIDE - 2 : 2 - _BESIDE]
+    axes = np.ascontiguousarray(field.T)
+    standing = axes[:, _BESIDE:-_BESIDE] - _median_of_five(axes)[:, _BESIDE - 2 : 2 - _BESIDE]
     about = sliding_window_view(axes, 2 * _BESIDE + 1, axis=1)
     for _ in range(_ROUNDS):
         along = found.shift @ standing
@@ -96,12 +96,26 @@ def one_sided(recording: Streams) -> Outliers | None:
     return found
 
 
+def _beside_medians(field: Array) -> Outliers:
+    """Return the mean of samples (n, 3) less the median of the five around each."""
+    if compiled.loops:
+        shift, scatter = np.empty(3), np.empty(3)
+        compiled.loops.stand_out(len(field), compiled.given(field), shift, scatter)
+        return _outliers(shift, scatter, len(field) - 4)
+    axes = np.ascontiguousarray(field.T)
+    return _mean_of(axes[:, 2:-2] - _median_of_five(axes))
+
+
 def _mean_of(standing: Array) -> Outliers:
     """Return the mean (3,) of (3, n), and its standard deviation."""
     shift = standing.mean(axis=1)
     about = standing - shift[:, None]
     scatter = np.sqrt(np.einsum("in,in->i", about, about) / about.shape[1])
-    return Outliers(shift, np.maximum(scatter, 1e-12) / np.sqrt(about.shape[1]))
+    return _outliers(shift, scatter, about.shape[1])
+
+
+def _outliers(shift: Array, scatter: Array, count: int) -> Outliers:
+    return Outliers(shift, np.maximum(scatter, 1e-12) / np.sqrt(count))
 
 
 def _median_of_kept(about: Array, kept: np.ndarray) -> Array:
