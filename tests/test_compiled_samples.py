@@ -52,6 +52,7 @@ def test_a_fingerprint_is_the_same(
     "compute",
     [
         lambda log: short_term_noise(log),
+        lambda log: samples._roughness(log.angular_rate),
         lambda log: np.concatenate(samples._beside_medians(log.magnetic_field)),
         lambda log: np.concatenate(alternating._of_blocks(log.magnetic_field, np.array([0, 64, 640]))),
         lambda log: from_gyroscope(preintegrate(log).integrate()),

@@ -236,6 +236,14 @@ static double sum_windows(size n, Arrays *a)
 }
 TO_PYTHON(sum_windows, 6, 1)
 
+/* sums (27, n), count, spread (n,); rotation, rotation_bias, rotation_rate, lever */
+static double window_motion(size n, Arrays *a)
+{
+    motion_of_windows(n, a->at[0], a->at[1], a->at[2], a->at[3], a->at[4], a->at[5], a->at[6]);
+    return 0.0;
+}
+TO_PYTHON(window_motion, 7, 4)
+
 /* values (k, n), width (1,); result (k, n): what follows the values in a play */
 static double follow(size n, Arrays *a)
 {
@@ -263,7 +271,7 @@ static PyMethodDef methods[] = {
     METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
     METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
     METHOD(angles), METHOD(second_differences), METHOD(stand_out), METHOD(alternate), METHOD(calm_blocks),
-    METHOD(hash_cells), METHOD(hash_runs), {NULL, NULL, 0, NULL},
+    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

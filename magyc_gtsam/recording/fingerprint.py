@@ -80,9 +80,8 @@ def first_shared(own: str, others: Iterable[str]) -> str | None:
 
     A fingerprint of an earlier version, which cannot be compared, shares none.
     """
-    mine = hashes_of(own)
     for other in others:
-        theirs = hashes_of(other)
+        mine, theirs = hashes_of(own), hashes_of(other)
         smallest = np.union1d(mine, theirs)[:_KEPT]
         shared = np.isin(smallest, mine) & np.isin(smallest, theirs)
         if shared.sum() >= min(_LEAST, len(smallest)) > 0:

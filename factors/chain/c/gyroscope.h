@@ -137,4 +137,31 @@ static void window_sums(size windows, const int64_t *start, size m, in_t p, in_t
     }
 }
 
+/* From sums (27, n) over windows, their counts and the variances of their stamps (n,): the mean rotation to the sensor
+   (3, 3, n), its derivatives by the bias (3, 3, 3, n) and by the delay (3, 3, n), and the levers (3, 3, n − 1). */
+static void motion_of_windows(size n, in_t sums, in_t count, in_t spread, out_t rotation, out_t by_bias, out_t by_delay,
+                              out_t lever)
+{
+    for (size t = 0; t < n; t++) {
+        double share = 1 / count[t], world[3][3], swung[3][3]; /* world: rows of the rotation to the world */
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double rate = sums[(18 + 3 * i + j) * n + t] * share;
+                world[i][j] = sums[(3 * i + j) * n + t] * share;
+                rotation[(3 * j + i) * n + t] = world[i][j];
+                by_delay[(3 * i + j) * n + t] = rate;
+                swung[i][j] = rate * spread[t];
+                if (t)
+                    lever[(3 * i + j) * (n - 1) + t - 1] =
+                        sums[(9 + 3 * i + j) * n + t] * share - sums[(9 + 3 * i + j) * n + t - 1] / count[t - 1];
+            }
+        for (int k = 0; k < 3; k++) /* [row k of M']: column b of the world's rotation × this row */
+            for (int b = 0; b < 3; b++)
+                for (int i = 0; i < 3; i++) {
+                    int j = (i + 1) % 3, l = (i + 2) % 3;
+                    by_bias[((3 * k + i) * 3 + b) * n + t] = world[j][b] * swung[k][l] - world[l][b] * swung[k][j];
+                }
+    }
+}
+
 #endif

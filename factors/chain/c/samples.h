@@ -25,6 +25,26 @@ static double second_differences(size stride, Arrays *a)
 }
 TO_PYTHON(second_differences, 2, 1)
 
+/* value (n, 3); result (2,): the mean squared norm of the second differences, and the variance of all axes together */
+static double roughness(size n, Arrays *a)
+{
+    const double *x = a->at[0];
+    double mean[3] = {0}, rough = 0.0, whole = 0.0;
+    for (size k = 0; k < 3 * n; k++)
+        mean[k % 3] += x[k] / (double)n;
+    for (size t = 0; t < n; t++)
+        for (int i = 0; i < 3; i++)
+            whole += (x[3 * t + i] - mean[i]) * (x[3 * t + i] - mean[i]);
+    for (size k = 0; k < 3 * (n - 2); k++) {
+        double second = x[k] - 2 * x[k + 3] + x[k + 6];
+        rough += second * second;
+    }
+    a->at[1][0] = rough / (double)(n - 2);
+    a->at[1][1] = whole / (double)n;
+    return 0.0;
+}
+TO_PYTHON(roughness, 2, 1)
+
 static inline double lesser(double x, double y) { return x < y ? x : y; }
 static inline double larger(double x, double y) { return x > y ? x : y; }
 

@@ -85,7 +85,9 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Famil
     result = beside.moves([each.moving for each in families])
     for each, move in zip(families, result, strict=True):
         if each.family.at_end is not None:
-            there = each.family.at_end(motion) * _beside_terms(each.moving)
+            there = each.family.at_end(motion)
+            if beside.fit.terms is not None:
+                there = there * _beside_terms(each.moving)
             move[: len(there)] -= there
     return result
 

@@ -183,9 +183,8 @@ def too_slow(recording: Streams) -> str:
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
         return ""
-    axes = np.ascontiguousarray(rate.T)
-    second = axes[:, 2:] - 2 * axes[:, 1:-1] + axes[:, :-2]
-    if float(np.vdot(second, second)) / second.shape[1] < _ROUGH * float(axes.var(axis=1).sum()):
+    rough, whole = _roughness(rate)
+    if rough < _ROUGH * whole:
         return ""
     step = float(np.median(np.diff(time)))
     from scipy.signal import welch  # imported here because it takes longer than a calibration
@@ -200,6 +199,17 @@ def too_slow(recording: Streams) -> str:
         f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({lost:.0%} of its turn rate is "
         f"lost between them, at most {_TOO_SLOW:.0%} is tolerated): record faster"
     )
+
+
+def _roughness(rate: Array) -> tuple[float, float]:
+    """Return the mean squared norm of the second differences of rates (n, 3), and their variance over all axes."""
+    if compiled.loops:
+        result = np.empty(2)
+        compiled.loops.roughness(len(rate), compiled.given(rate), result)
+        return float(result[0]), float(result[1])
+    axes = np.ascontiguousarray(rate.T)
+    second = axes[:, 2:] - 2 * axes[:, 1:-1] + axes[:, :-2]
+    return float(np.vdot(second, second)) / second.shape[1], float(axes.var(axis=1).sum())
 
 
 def in_bursts(recording: Streams) -> str:

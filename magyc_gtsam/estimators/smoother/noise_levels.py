@@ -131,8 +131,9 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     if not kept.any():
         return chain.noise, 0.0, freedom
     step = np.zeros(2)
-    step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient[kept])
-    better = np.clip(level * np.exp(0.5 * np.clip(step, -2.0, 2.0)), low, high)
+    known = information if kept.all() else information[np.ix_(kept, kept)]
+    step[kept] = np.linalg.solve(known, gradient[kept])
+    better = np.minimum(np.maximum(level * np.exp(np.minimum(np.maximum(0.5 * step, -1.0), 1.0)), low), high)
     left = 2 * np.log(better / level)[kept] ** 2 * np.sqrt(0.5 * information.diagonal()[kept])
     return SensorNoise(*better.tolist()), float(left.max()), freedom
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import log
 from typing import Protocol
 
 import numpy as np
@@ -63,8 +64,8 @@ def suitable_turn(field: Array) -> float:
     turn = 1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30))
     # Discrete values: two segmentations of a log differ by up to a third of a sigma, and a few more samples must not
     # change the segmentation.
-    steps = np.round(np.log(max(turn, 0.1) / 0.15) / np.log(1.2))
-    return float(np.clip(0.15 * 1.2**steps, 0.15, 0.4))
+    steps = round(log(max(turn, 0.1) / 0.15) / log(1.2))
+    return min(max(0.15 * 1.2**steps, 0.15), 0.4)
 
 
 class Streams(Protocol):
