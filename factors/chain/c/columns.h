@@ -67,34 +67,42 @@ static Columns whitening(size n, int each_axis, double *const *at, double *windo
     return result;
 }
 
+/* The stretch `first` to `stop` of column c, whitened, and its products b (2, STRETCH) with the directions' Jacobian. */
+static void whiten_stretch(const Columns *k, size c, size first, size stop, double *b)
+{
+    size n = k->n, m = n - 1, window = 3 * n * c, link = 3 * m * c;
+    if (k->on) {
+        size i = (size)k->on[c];
+        const double *j = k->on_direction + 2 * i * n;
+        of_axis(first, stop, k->window + n * c, k->window_scale + i * k->axis, j, j + n, k->white_window + n * c, b,
+                b + STRETCH);
+    } else if (k->window)
+        of_windows(n, first, stop, k->window + window, k->window_scale, k->axis, k->on_direction,
+                   k->white_window + window, b, b + STRETCH);
+    else
+        memset(b, 0, 2 * STRETCH * sizeof(double));
+    if (k->link)
+        of_links(m, first, stop, k->link + link, k->link_scale, k->before, k->after, k->white_link + link, b,
+                 b + STRETCH);
+}
+
 static void whiten_together(const Columns *k, size own, size some)
 {
-    double tile[2 * STRETCH * TOGETHER], last[2 * TOGETHER] = {0}, b[2 * STRETCH];
-    size n = k->n, m = n - 1;
+    double tile[2 * STRETCH * TOGETHER], last[2 * TOGETHER] = {0}, b[4 * 2 * STRETCH];
+    size n = k->n;
     if (some < TOGETHER)
         memset(tile, 0, sizeof tile);
     for (size first = 0; first < n; first += STRETCH) {
-        size stop = LEAST(n, first + STRETCH);
-        for (size c = 0; c < some; c++) {
-            size window = 3 * n * (own + c), link = 3 * m * (own + c);
-            if (k->on) {
-                size i = (size)k->on[own + c], at = n * (own + c);
-                const double *j = k->on_direction + 2 * i * n;
-                of_axis(first, stop, k->window + at, k->window_scale + i * k->axis, j, j + n, k->white_window + at, b,
-                        b + STRETCH);
-            } else if (k->window)
-                of_windows(n, first, stop, k->window + window, k->window_scale, k->axis, k->on_direction,
-                           k->white_window + window, b, b + STRETCH);
-            else
-                memset(b, 0, sizeof b);
-            if (k->link)
-                of_links(m, first, stop, k->link + link, k->link_scale, k->before, k->after, k->white_link + link, b,
-                         b + STRETCH);
-            into_tile(tile, (int)c, stop - first, b, STRETCH, 1);
+        size stop = LEAST(n, first + STRETCH), length = stop - first;
+        for (size c = 0; c < some; c += 4) {
+            size few = LEAST(4, some - c);
+            for (size i = 0; i < few; i++)
+                whiten_stretch(k, own + c + i, first, stop, b + 2 * STRETCH * i);
+            for (int a = 0; a < 2; a++)
+                into_lanes(length, few, b + a * STRETCH, 2 * STRETCH, tile + a * TOGETHER + c, 2 * TOGETHER);
         }
-        forward_rows(first, stop - first, k->factor, k->inverse, tile, last);
-        for (size c = 0; c < some; c++)
-            from_tile(tile, (int)c, stop - first, k->absorbed + 2 * n * (own + c) + 2 * first, 1, 2);
+        forward_rows(first, length, k->factor, k->inverse, tile, last);
+        from_lanes(2 * length, some, tile, TOGETHER, k->absorbed + 2 * n * own + 2 * first, 2 * n);
     }
 }
 
