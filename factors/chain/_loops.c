@@ -48,6 +48,15 @@ static double linearise(size n, Arrays *a)
 }
 TO_PYTHON(linearise, 21, 8)
 
+/* matrix, rotation, turn, field, hard iron (3,), direction; window (3, n), link (3, n − 1) */
+static double residuals(size n, Arrays *a)
+{
+    double **at = a->at;
+    plain_residuals(n, at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]);
+    return 0.0;
+}
+TO_PYTHON(residuals, 8, 2)
+
 /* band, border, columns, links; factor, inverse, absorbed, products: the Cholesky factor of the band, the border
    absorbed (p + 1, 2n), and the products (p + 1, p + 1) of the columns and links less those of what is absorbed; they
    hold zeros before. Returns the residual's squared norm, or minus the number of the row that has no factor. */
@@ -271,7 +280,7 @@ static PyMethodDef methods[] = {
     METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
     METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
     METHOD(angles), METHOD(second_differences), METHOD(stand_out), METHOD(alternate), METHOD(calm_blocks),
-    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), {NULL, NULL, 0, NULL},
+    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

@@ -115,6 +115,13 @@ class FieldChain:
     def residuals(self, state: ChainState) -> Residuals:
         """Return the unwhitened residuals of windows and links."""
         parameters, g = state
+        if compiled.loops and self.bend is None:
+            n = g.shape[1]
+            result = Residuals(np.empty((3, n)), np.empty((3, n - 1)))
+            model = iron_matrix(parameters), self.rotation(parameters), self.turn(parameters)
+            target = self.windows.field, parameters[6:9]
+            compiled.loops.residuals(n, *map(compiled.given, (*model, *target, g)), *result)
+            return result
         body = np.einsum("ijn,jn->in", self.rotation(parameters), g)
         window = iron_matrix(parameters) @ body
         if self.bend is not None:

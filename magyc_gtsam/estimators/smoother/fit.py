@@ -14,6 +14,7 @@ from magyc_gtsam.estimators.smoother.whitened_fit import Minimum
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import solved
 from magyc_gtsam.factors.errors import MagycError
 
 MAX_ITERATIONS = 40
@@ -200,7 +201,7 @@ def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Arr
     scale = np.divide(1.0, np.sqrt(np.maximum(known, 0.0)), out=np.zeros(len(known)), where=known > 0)
     scaled = information * scale * scale[:, None]
     scaled.flat[:: len(scale) + 1] += damping + 1e-14
-    short = -scale * np.linalg.solve(scaled, scale * gradient)
+    short = -scale * solved(scaled, scale * gradient)
     length = float(short @ information @ short)
     if every:
         return short, length

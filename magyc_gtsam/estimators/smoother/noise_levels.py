@@ -12,6 +12,7 @@ from magyc_gtsam.factors.chain.chain_values import Residuals, SensorNoise, Weigh
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import solved
 
 _ROUNDS = 20  # most updates of robust weights and noise levels
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
@@ -132,7 +133,7 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
         return chain.noise, 0.0, freedom
     step = np.zeros(2)
     known = information if kept.all() else information[np.ix_(kept, kept)]
-    step[kept] = np.linalg.solve(known, gradient[kept])
+    step[kept] = solved(known, gradient[kept])
     better = np.minimum(np.maximum(level * np.exp(np.minimum(np.maximum(0.5 * step, -1.0), 1.0)), low), high)
     left = 2 * np.log(better / level)[kept] ** 2 * np.sqrt(0.5 * information.diagonal()[kept])
     return SensorNoise(*better.tolist()), float(left.max()), freedom

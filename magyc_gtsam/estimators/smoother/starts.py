@@ -9,6 +9,7 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import solved
 from magyc_gtsam.factors.chain.vech import unvech, vech
 
 _LAG = 3.0  # s between the windows compared by the linear start
@@ -87,7 +88,6 @@ def from_gyroscope(windows: FieldWindows) -> Array:
 def _solved(normal: Array, right: Array) -> Array:
     """Return the solution of normal equations, that of least norm if they are singular."""
     try:
-        solution = np.linalg.solve(normal, right)
+        return solved(normal, right)
     except np.linalg.LinAlgError:
-        solution = np.linalg.lstsq(normal, right, rcond=None)[0]
-    return solution.astype(np.float64, copy=False)
+        return np.linalg.lstsq(normal, right, rcond=None)[0].astype(np.float64, copy=False)
