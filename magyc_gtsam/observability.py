@@ -89,9 +89,9 @@ class Assessor:
     hard_iron: Array | None = None
     misalignment: MisalignmentError | None = None
 
-    def of(self, covariance: Array, rotation: Array | None = None) -> Observability:
+    def of(self, covariance: Array, rotation: Array | None = None, heading: bool = True) -> Observability:
         """Return the result of `assess` for a covariance, and for that (3, 3) rad² of the rotation between the sensors
-        as far as it is to be judged.
+        as far as it is to be judged; without a sigma of the heading if that is not needed.
         """
         shown, unit_shown = self.recording.field_shown
         in_tesla = self.recording.magnetic_field_unit == "T"
@@ -126,8 +126,11 @@ class Assessor:
         return Observability(
             observable=all(w.sigma <= w.limit for w in weak),
             weak=tuple(weak),
-            heading_sigma=float(self._turn.spread(covariance, self._slopes, self.misalignment).max()),
+            heading_sigma=self._heading_sigma(covariance) if heading else None,
         )
+
+    def _heading_sigma(self, covariance: Array) -> float:
+        return float(self._turn.spread(covariance, self._slopes, self.misalignment).max())
 
     @cached_property
     def _slopes(self) -> Array:

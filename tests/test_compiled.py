@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.estimators.model_error.physical import followed
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit, begin
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
@@ -19,7 +20,7 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS, WITH_SKEW, ChainS
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
-from magyc_gtsam.factors.chain.rotations import Array, chained
+from magyc_gtsam.factors.chain.rotations import Array, chained, increments
 from magyc_gtsam.factors.chain.spline import Spline
 
 pytestmark = pytest.mark.skipif(compiled.loops is None, reason="the inner loops were not compiled")
@@ -67,6 +68,7 @@ def test_elimination(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
         fit.chain.windows._last.clear()  # its rotations are computed by the loop under test, too
         return fit.chain.eliminate(fit.state, fit.weights)
 
+    close(*both(lambda: np.hstack([1e4 * r for r in fit.chain.residuals(fit.state)]), monkeypatch), 1e-10)
     fast, numpy = both(eliminated, monkeypatch)
     for name, one, other in zip(fast._fields, fast, numpy, strict=True):
         if name == "factor":  # its last entries are no part of it
@@ -97,15 +99,17 @@ def test_settled_directions(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
     close(*both(lambda: fit.chain.settled(fit.state, fit.weights).direction, monkeypatch))
 
 
-@pytest.mark.parametrize("sides", ["windows", "links", "windows and links"])
+@pytest.mark.parametrize("sides", ["windows", "one axis of the windows", "links", "windows and links"])
 @pytest.mark.parametrize("with_terms", [False, True])
 def test_scores(fit: Fit, sides: str, with_terms: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Groups of columns of 1 to 40, beside θ and beside terms of the model."""
     n, random = len(fit.chain.windows), np.random.default_rng(2)
 
-    def columns(count: int) -> UnmodelledColumns:
+    def columns(count: int) -> UnmodelledColumns:  # of two or fewer on all axes
         window = random.normal(size=(count, 3, n)) * 1e-6 if "windows" in sides else None
         link = random.normal(size=(count, 3, n - 1)) * 1e-3 if "links" in sides else None
+        if "axis" in sides and count > 2:
+            return UnmodelledColumns.axis_by_axis(random.normal(size=(count, n)) * 1e-6)
         return UnmodelledColumns(window, link)
 
     if with_terms:
@@ -155,6 +159,36 @@ def test_splines(n: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     time = np.cumsum(random.uniform(0.5, 2, n))
     values = random.normal(size=(count, n))
     close(*both(lambda: Spline.at(time).slopes(values), monkeypatch))
+
+
+@pytest.mark.parametrize("straight", [False, True])
+def test_integrals_across_a_direction(straight: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The links' columns by errors of the rate."""
+    random, n = np.random.default_rng(5), 300
+    time, values, direction = np.cumsum(random.uniform(0.5, 2, n)), random.normal(size=(7, 3, n)), np.ones((3, n))
+    direction[1] = values[0, 0]
+    close(*both(lambda: Spline.at(time).crossed_integrals(values, direction, straight), monkeypatch))
+
+
+@pytest.mark.parametrize("n", [1, 300])
+def test_a_play(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exactly the same: each value is one of the input, less or more the width."""
+    values = np.cumsum(np.random.default_rng(n).normal(size=(3, n)), axis=1)
+    fast, numpy = both(lambda: followed(values, 1.5), monkeypatch)
+    np.testing.assert_array_equal(fast, numpy)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("n", [3, 4, 5, 300])
+def test_turns_between_samples(n: int, uneven: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With even steps, and with one that is a hole."""
+    random = np.random.default_rng(n)
+    step = random.uniform(0.5, 2, n)
+    if uneven:
+        step[n // 2] = 30.0
+    time, rate = np.cumsum(step), random.normal(size=(n, 3))
+    close(*both(lambda: increments(time, rate), monkeypatch))
+    close(*both(lambda: increments(time, rate, np.array([0.1, -0.2, 0.3])), monkeypatch))
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 40])

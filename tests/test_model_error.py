@@ -95,7 +95,7 @@ def test_columns_have_the_products_that_elimination_leaves(fit) -> None:
     motion, beside = WindowMotion.of(fit), ColumnProducts(fit)
     for name in ("attitude", "second", "drift:slow"):
         family = next(f for f in FAMILIES if f.name == name)
-        columns = family.columns(motion)
+        columns = family.columns(motion).on_all_axes
         normal = beside.of(columns).normal
         for k in (0, len(normal) - 1):
             whitened = columns.window[k] * fit.chain.window_scale * np.sqrt(fit.weights.window)

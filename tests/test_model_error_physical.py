@@ -11,7 +11,7 @@ import pytest
 from magyc_gtsam import calibrate, simulate
 from magyc_gtsam.estimators.model_error.components import principal
 from magyc_gtsam.estimators.model_error.not_excluded import averaged_of_each
-from magyc_gtsam.estimators.model_error.physical import PHYSICAL, _followed
+from magyc_gtsam.estimators.model_error.physical import PHYSICAL, followed
 from magyc_gtsam.estimators.model_error.samples import flickers
 from magyc_gtsam.simulation import GYRO_BIAS
 from magyc_gtsam.study.efficiency import error, nees
@@ -152,7 +152,7 @@ def test_a_step_that_leaves_out_the_end_is_not_trusted() -> None:
 
 def test_a_play_follows_as_its_recursion_does() -> None:
     reading = np.cumsum(np.random.default_rng(0).normal(size=(3, 500)), axis=1)
-    found, expected = _followed(reading, 1.5), reading[:, 0]
+    found, expected = followed(reading, 1.5), reading[:, 0]
     for row, value in zip(found.T, reading.T, strict=True):
         expected = np.clip(expected, value - 1.5, value + 1.5)
         np.testing.assert_allclose(row, expected)

@@ -11,7 +11,7 @@ from magyc_gtsam import Recording, calibrate
 from magyc_gtsam.estimators.model_error.by_attitude import vertical
 from magyc_gtsam.estimators.model_error.components import fit_components
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
-from magyc_gtsam.estimators.model_error.physical import _followed
+from magyc_gtsam.estimators.model_error.physical import followed
 from magyc_gtsam.estimators.model_error.samples import in_bursts
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 
@@ -145,9 +145,7 @@ def test_a_loop_that_takes_most_of_the_sweep_is_covered() -> None:
     for seed in (0, 2):
         time, random, angles = leaning(seed, 0.1, 0.03)
         field, rate = moved(time, *angles)
-        loop = [
-            share * (_followed(field.T.copy(), width).T - field) for share, width in ((0.5, 2e-6), (0.2, 5e-6))
-        ]
+        loop = [share * (followed(field.T.copy(), width).T - field) for share, width in ((0.5, 2e-6), (0.2, 5e-6))]
         assert sigmas(calibrate(recording(random, time, field + sum(loop), rate))) < 2.3
 
 

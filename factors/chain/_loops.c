@@ -7,9 +7,13 @@
 #include "c/directions.h"
 #include "c/gyroscope.h"
 #include "c/linearisation.h"
+#include "c/moments.h"
+#include "c/motion.h"
 #include "c/products.h"
 #include "c/settling.h"
+#include "c/samples.h"
 #include "c/spline.h"
+#include "c/start.h"
 
 /* factor, inverse, right (k, 2, n), solution (k, 2n) */
 static double forward(size n, Arrays *a)
@@ -44,6 +48,15 @@ static double linearise(size n, Arrays *a)
 }
 TO_PYTHON(linearise, 21, 8)
 
+/* matrix, rotation, turn, field, hard iron (3,), direction; window (3, n), link (3, n − 1) */
+static double residuals(size n, Arrays *a)
+{
+    double **at = a->at;
+    plain_residuals(n, at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]);
+    return 0.0;
+}
+TO_PYTHON(residuals, 8, 2)
+
 /* band, border, columns, links; factor, inverse, absorbed, products: the Cholesky factor of the band, the border
    absorbed (p + 1, 2n), and the products (p + 1, p + 1) of the columns and links less those of what is absorbed; they
    hold zeros before. Returns the residual's squared norm, or minus the number of the row that has no factor. */
@@ -54,13 +67,13 @@ static double eliminate(size n, Arrays *a)
     if (failed)
         return -(double)failed;
     solve_all(n, 0, a->at[4], a->at[5], a->at[1], p, a->at[6]);
-    add_gram(3 * n, 1.0, a->at[2], p, products);
-    add_gram(3 * (n - 1), 1.0, a->at[3], 4, of_links);
+    add_whole_gram(3 * n, 1.0, a->at[2], p, products);
+    add_whole_gram(3 * (n - 1), 1.0, a->at[3], 4, of_links);
     for (size i = 0; i < 4; i++) /* of the bias, rows 9 to 11, and of the residual */
         for (size j = 0; j <= i; j++)
             products[(i < 3 ? 9 + i : p - 1) * p + (j < 3 ? 9 + j : p - 1)] += of_links[4 * i + j];
     double square = products[p * p - 1];
-    add_gram(2 * n, -1.0, a->at[6], p, products);
+    add_whole_gram(2 * n, -1.0, a->at[6], p, products);
     for (size i = 0; i < p; i++)
         for (size j = 0; j < i; j++)
             products[j * p + i] = products[i * p + j];
@@ -80,7 +93,7 @@ static double absorbed(size n, Arrays *a)
     memcpy(across, a->at[3], sizeof(double) * (size_t)(3 * n * p));
     less_directions(n, p, a->at[2], solved, across);
     memset(gram, 0, sizeof(double) * (size_t)(p * p));
-    add_gram(3 * n, 1.0, across, p, gram);
+    add_whole_gram(3 * n, 1.0, across, p, gram);
     for (size i = 0; i < p; i++)
         for (size j = 0; j <= i; j++)
             sum += (i == j ? 1.0 : 2.0) * gram[i * p + j] * a->at[5][i * p + j];
@@ -154,32 +167,51 @@ static double whiten(size n, Arrays *a)
 }
 TO_PYTHON(whiten, 12, 3)
 
-/* As `whiten` to inverse, then half, of_window, linked, of_link, root, residual, rounding (1,), count (groups,) of
-   int64; explained, score, normal. The columns of one group are below those of the other. */
+/* factor, inverse, on_direction, before, after, half (k, 2n); window (k, 3, n), link (k, 3, n − 1): rows, less what the
+   directions explain of them by L⁻¹ of their products with these */
+static double beside_directions(size n, Arrays *a)
+{
+    size k = entries(a, 5) / (2 * n);
+    double *solved = room(a, 2 * n * k);
+    if (!solved)
+        return 0.0;
+    solve_all(n, 1, a->at[0], a->at[1], a->at[5], k, solved);
+    less_directions(n, k, a->at[2], solved, a->at[6]);
+    less_linked(n, k, a->at[3], a->at[4], solved, a->at[7]);
+    PyMem_RawFree(solved);
+    return 0.0;
+}
+TO_PYTHON(beside_directions, 8, 2)
+
+/* As `whiten` to inverse, then axis (K,) of int64 or none, of_window, of_link, rounding (1,), count (groups,) of int64;
+   products, normal: those of the columns with the rows (rows, 3n) of_window and (rows, 3n − 3) of_link, and the
+   information of each group. The columns of one group are below those of the other; with an axis each they are (K, n). */
 static double score(size n, Arrays *a)
 {
-    const int64_t *count = (const int64_t *)a->at[16];
-    size groups = entries(a, 16), all = entries(a, 18), p = entries(a, 9) / (2 * n), links = entries(a, 11);
-    size together = LEAST(2 * TOGETHER, all), window = a->at[0] ? 3 * n : 0, link = a->at[2] ? 3 * (n - 1) : 0;
+    const int64_t *on = (const int64_t *)a->at[9], *count = (const int64_t *)a->at[13];
+    size groups = entries(a, 13), rows = entries(a, 10) / (3 * n), all = entries(a, 14) / rows;
+    size together = LEAST(TOGETHER, all), window = a->at[0] ? (on ? n : 3 * n) : 0, link = a->at[2] ? 3 * (n - 1) : 0;
     for (size g = 0; g < groups; g++)
         if (count[g] > together)
             together = (size)count[g];
-    double *white = room(a, together * (window + link + 2 * n + p + links));
+    double *white = room(a, together * (window + link + 2 * n + 3));
     if (!white)
         return 0.0;
     double *white_link = white + window * together, *half = white_link + link * together;
-    Columns columns = whitening(n, entries(a, 1) > n, a->at, white, white_link, half);
-    Fit f = {columns,   p,         links,     entries(a, 14), (const int64_t *)a->at[11], a->at[9],
-             a->at[10], a->at[12], a->at[13], a->at[14],      half + 2 * n * together};
-    double *normal = a->at[19];
+    size *place = (size *)(half + 2 * n * together);
+    Fit f = {.columns = whitening(n, entries(a, 1) > n, a->at, white, white_link, half),
+             .rows = rows, .of_window = a->at[10], .of_link = a->at[11],
+             .place = {place, place + together, place + 2 * together}};
+    f.columns.on = on;
+    double *normal = a->at[15];
     for (size g = 0, own = 0; g < groups;) {
         size stop = g, some = 0;
         while (stop < groups && some + (size)count[stop] <= together)
             some += (size)count[stop++];
-        pull_together(&f, own, some, all, a->at[17], a->at[18]);
+        products_of(&f, own, some, all, a->at[14]);
         for (size first = 0; g < stop; first += (size)count[g++]) {
             size k = (size)count[g];
-            information(&f, first, k, a->at[17], own + first, all, a->at[15][0], normal);
+            information(&f, first, k, a->at[14] + own + first, all, a->at[12][0], normal);
             normal += k * k;
         }
         own += some;
@@ -187,7 +219,7 @@ static double score(size n, Arrays *a)
     PyMem_RawFree(white);
     return 0.0;
 }
-TO_PYTHON(score, 20, 3)
+TO_PYTHON(score, 16, 2)
 
 /* vector (3, n); p, q */
 static double chain(size n, Arrays *a)
@@ -213,27 +245,42 @@ static double sum_windows(size n, Arrays *a)
 }
 TO_PYTHON(sum_windows, 6, 1)
 
-/* values (k, n), inverse (n − 1,) of the steps, the factors diagonal (n − 2,) and below (n − 3,); slopes (k, n), n > 3 */
-static double spline_slopes(size n, Arrays *a)
+/* sums (27, n), count, spread (n,); rotation, rotation_bias, rotation_rate, lever */
+static double window_motion(size n, Arrays *a)
 {
-    size count = entries(a, 0) / n;
-    double *work = room(a, TOGETHER * n);
-    if (!work)
-        return 0.0;
-    memset(work, 0, sizeof(double) * TOGETHER * (size_t)n);
-    for (size own = 0; own < count; own += TOGETHER)
-        slopes_together(n, a->at[0] + own * n, a->at[1], a->at[2], a->at[3], LEAST(TOGETHER, count - own),
-                        a->at[4] + own * n, work);
-    PyMem_RawFree(work);
+    motion_of_windows(n, a->at[0], a->at[1], a->at[2], a->at[3], a->at[4], a->at[5], a->at[6]);
     return 0.0;
 }
-TO_PYTHON(spline_slopes, 5, 1)
+TO_PYTHON(window_motion, 7, 4)
+
+/* values (k, n), width (1,); result (k, n): what follows the values in a play */
+static double follow(size n, Arrays *a)
+{
+    double width = a->at[1][0];
+    for (size c = 0; c < entries(a, 0) / n; c++) {
+        const double *x = a->at[0] + n * c;
+        double *y = a->at[2] + n * c, last = x[0];
+        for (size t = 0; t < n; t++)
+            y[t] = last = fmin(fmax(last, x[t] - width), x[t] + width);
+    }
+    return 0.0;
+}
+TO_PYTHON(follow, 3, 1)
+
+/* time (n,), rate (n, 3), bias (3,); result (3, n − 1): as `rotations.increments`, n > 3. Returns the number of steps
+   that are much longer or shorter than one beside them, where the result is another. */
+static double increments(size n, Arrays *a) { return turns_between(n, a->at[0], a->at[1], a->at[2], a->at[3]); }
+TO_PYTHON(increments, 4, 1)
 
 static PyMethodDef methods[] = {
     METHOD(forward), METHOD(backward), METHOD(linearise), METHOD(eliminate),   METHOD(absorbed),
     METHOD(move),    METHOD(rotate),   METHOD(turn),      METHOD(whiten),      METHOD(score),
     METHOD(chain),   METHOD(lever),    METHOD(sum_windows), METHOD(spline_slopes),
-    METHOD(directions), METHOD(step), {NULL, NULL, 0, NULL},
+    METHOD(directions), METHOD(step), METHOD(beside_directions),
+    METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
+    METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
+    METHOD(angles), METHOD(second_differences), METHOD(stand_out), METHOD(alternate), METHOD(calm_blocks),
+    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

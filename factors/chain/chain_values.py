@@ -78,7 +78,7 @@ class Reduced(NamedTuple):
         (zeros for fixed parameters).
         """
         if compiled.loops:
-            factor = self._band_factor
+            factor = self.band_factor
             return float(
                 compiled.loops.absorbed(
                     self.basis.shape[2],
@@ -102,13 +102,14 @@ class Reduced(NamedTuple):
         return slopes
 
     @property
-    def _band_factor(self) -> BandFactor:
+    def band_factor(self) -> BandFactor:
+        """The factor in the form that the solutions need."""
         return BandFactor.of(self.factor)
 
     @property
     def _solved(self) -> Array:
         """H⁻¹ C (p, 2, n)."""
-        return backward_solved(self._band_factor, self.half[:, :-1].T)
+        return backward_solved(self.band_factor, self.half[:, :-1].T)
 
 
 def iron_matrix(parameters: Array) -> Array:

@@ -95,8 +95,13 @@ class IronFact:
 def field_strength(soft_iron: Array) -> tuple[float, Array]:
     """Return ∛|det S| of vech(S) (6,), and its derivative (6,): d∛det S = ∛det S / 3 · tr(S⁻¹ dS)."""
     matrix = unvech(soft_iron)
-    strength = float(np.cbrt(abs(np.linalg.det(matrix))))
+    strength = strength_of(matrix)
     return strength, strength / 3 * vech(np.linalg.inv(matrix)) * MULTIPLICITY
+
+
+def strength_of(iron: Array) -> float:
+    """Return the field strength ∛|det B| of an iron matrix B (3, 3)."""
+    return float(np.cbrt(abs(np.linalg.det(iron))))
 
 
 def quadratic(facts: Sequence[Fact], parameters: Array) -> tuple[float, Array, Array]:

@@ -25,7 +25,6 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.factors.chain import compiled
-from magyc_gtsam.factors.chain.banded import BandFactor
 from magyc_gtsam.factors.chain.chain_values import (
     DELAY,
     ChainState,
@@ -108,7 +107,7 @@ class FieldChain:
 
         A window whose field equals the hard iron has no direction of its own and starts along x.
         """
-        body = np.linalg.solve(iron_matrix(parameters), self.windows.field - parameters[6:9, None])
+        body = np.linalg.inv(iron_matrix(parameters)) @ (self.windows.field - parameters[6:9, None])
         body[0] += ~body.any(axis=0)
         g = np.einsum("ijn,in->jn", self.rotation(parameters), body)
         return ChainState(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
@@ -116,6 +115,13 @@ class FieldChain:
     def residuals(self, state: ChainState) -> Residuals:
         """Return the unwhitened residuals of windows and links."""
         parameters, g = state
+        if compiled.loops and self.bend is None:
+            n = g.shape[1]
+            result = Residuals(np.empty((3, n)), np.empty((3, n - 1)))
+            model = iron_matrix(parameters), self.rotation(parameters), self.turn(parameters)
+            target = self.windows.field, parameters[6:9]
+            compiled.loops.residuals(n, *map(compiled.given, (*model, *target, g)), *result)
+            return result
         body = np.einsum("ijn,jn->in", self.rotation(parameters), g)
         window = iron_matrix(parameters) @ body
         if self.bend is not None:
@@ -180,7 +186,7 @@ class FieldChain:
     def move(self, state: ChainState, reduced: Reduced, step: Array) -> ChainState:
         """Return the state after a step on θ; the directions follow by back-substitution."""
         if compiled.loops:
-            factor, n = BandFactor.of(reduced.factor), state.direction.shape[1]
+            factor, n = reduced.band_factor, state.direction.shape[1]
             room, moved = np.empty(2 * n), np.empty((3, n))
             inputs = map(compiled.given, (reduced.half.T, step, reduced.basis, state.direction))
             compiled.loops.move(n, factor.columns, factor.inverse, *inputs, room, moved)

@@ -34,8 +34,8 @@ from magyc_gtsam.factors.chain.field_windows import (
     joined_between,
 )
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
-from magyc_gtsam.factors.chain.rotations import Array, Spinor, cross
-from magyc_gtsam.factors.chain.window_sums import ROWS, window_sums
+from magyc_gtsam.factors.chain.rotations import Array, Spinor
+from magyc_gtsam.factors.chain.window_sums import ROWS, of_windows, window_sums
 from magyc_gtsam.factors.errors import MagycError
 
 HOLE = 0.5  # s, a longer step of the gyroscope interrupts a chain
@@ -177,8 +177,7 @@ class Preintegration:
         starts, total = self.starts, len(self.magnetometer_time)
         count = np.diff(np.append(starts, total)).astype(float)
         time = np.add.reduceat(self.magnetometer_time, starts) / count
-        means = np.empty((ROWS, len(starts)))
-        turned, lever, rate = slice(0, 9), slice(9, 18), slice(18, ROWS)
+        sums = np.empty((ROWS, len(starts)))
         squared_time = np.empty(len(starts))
         first, track = 0, None
         between: list[Between] = []
@@ -188,30 +187,24 @@ class Preintegration:
             stop = int(starts[last]) if last < len(starts) else total
             track = self._track(track, slice(int(starts[first]), stop), bias, delay)
             own = starts[first:last] - starts[first]
-            means[:, first:last] = window_sums(own, *self._at(track, slice(int(starts[first]), stop), delay))
+            sums[:, first:last] = window_sums(own, *self._at(track, slice(int(starts[first]), stop), delay))
             squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
             if len(self.empty.link):
                 between.append(self.empty.part(first, last).integrated(track, delay))
                 links.append(last - first)
             first = last
-        means /= count
-        world = means[turned].reshape(3, 3, -1)
         since = self.magnetometer_time - np.repeat(time, count.astype(int))
-        change = means[rate].reshape(3, 3, -1).copy()  # a view would keep all means
-        swung = change * (np.add.reduceat(since * since, starts) / count)
+        motion = of_windows(sums, count, np.add.reduceat(since * since, starts) / count)
         return FieldWindows(
             time=time,
             count=count,
             field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
-            rotation=world.swapaxes(0, 1).copy(),
-            rotation_bias=cross(world[:, None], swung.swapaxes(0, 1)[:, :, None]).swapaxes(0, 1).copy(),
-            rotation_rate=change,
-            lever=np.diff(means[lever]).reshape(3, 3, -1),
             link_time=np.diff(squared_time),
             linked=self.linked,
             bias=bias,
             delay=delay,
             between=joined_between(between, links) if between else NOTHING,
+            **motion._asdict(),
         )
 
     def with_rate(self, angular_rate: Array) -> Preintegration:

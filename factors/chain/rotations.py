@@ -52,6 +52,11 @@ def increments(time: Array, rate: Array, bias: Array | None = None) -> Array:
     oscillation, 1 % of a 0.5 Hz swell at 10 Hz. Derivatives are those of the parabola through three samples, for any
     ratio of their steps (samples get lost), but not across a hole.
     """
+    if compiled.loops and len(time) > 3:
+        result = np.empty((3, len(time) - 1))
+        start = np.zeros(3) if bias is None else bias
+        if not compiled.loops.increments(len(time), *map(compiled.given, (time, rate, start)), result):
+            return result.T
     step = np.diff(time)
     rate = np.array(rate.T, order="C")  # one axis per row
     if bias is not None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from magyc_gtsam.factors.chain import compiled
-from magyc_gtsam.factors.chain.rotations import Array, Spinor, matrices
+from magyc_gtsam.factors.chain.rotations import Array, Spinor, cross, matrices
 
 ROWS = 27  # rows per sample: R 9, K 9, dRᵀ/dτ 9
 
@@ -28,3 +30,31 @@ def window_sums(starts: np.ndarray, rotation: Spinor, lever: Array, rate: Array)
     for part, rows in zip(np.split(result, 3), (turned, lever, change.reshape(9, -1)), strict=True):
         np.add.reduceat(rows, starts, axis=1, out=part)
     return result
+
+
+class MotionInWindows(NamedTuple):
+    """The motion in n windows: rotation, rotation_bias, rotation_rate and lever of `FieldWindows`."""
+
+    rotation: Array
+    rotation_bias: Array
+    rotation_rate: Array
+    lever: Array
+
+
+def of_windows(sums: Array, count: Array, spread: Array) -> MotionInWindows:
+    """Return the motion by the sums (27, n), the numbers of samples (n,), and the variance (n,) s² of their stamps."""
+    n = len(count)
+    if compiled.loops:
+        shapes = ((3, 3, n), (3, 3, 3, n), (3, 3, n), (3, 3, n - 1))
+        result = MotionInWindows(*map(np.empty, shapes))
+        compiled.loops.window_motion(n, *map(compiled.given, (sums, count, spread)), *result)
+        return result
+    means = sums / count
+    world, change = means[:9].reshape(3, 3, -1), means[18:].reshape(3, 3, -1).copy()  # a view would keep all means
+    swung = change * spread
+    return MotionInWindows(
+        world.swapaxes(0, 1).copy(),
+        cross(world[:, None], swung.swapaxes(0, 1)[:, :, None]).swapaxes(0, 1).copy(),
+        change,
+        np.diff(means[9:18]).reshape(3, 3, -1),
+    )

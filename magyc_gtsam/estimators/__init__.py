@@ -8,8 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.gauge import IronScale, check_field_strength, check_noise, doubt_strength
+from magyc_gtsam.calibration.noted import noted
+from magyc_gtsam.estimators.gauge import check_field_strength, check_noise, doubt_strength
 from magyc_gtsam.estimators.method import Method, methods_from_outside
+from magyc_gtsam.factors.chain.facts import strength_of
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.factors.one_thread import one_thread
@@ -193,13 +195,13 @@ def calibrate(
         if not usable.refused:
             raise
         raise MagycError(f"{usable.refused}; {problem}") from None
-    result = replace(result, diagnostics={**result.diagnostics, "recordings": [*before, own]})
+    result = noted(result, recordings=[*before, own])
     left_out = usable.left_out
     if left_out:
         message = f"{result.message}; left out: {'; '.join(left_out)}"
-        result = replace(result, message=message, diagnostics={**result.diagnostics, "left_out": left_out})
+        result = noted(replace(result, message=message), left_out=left_out)
     if result.trusted and result.field_strength is not None and not counts:
-        measured = IronScale.of(result.field_strength * result.soft_iron).strength
+        measured = strength_of(result.field_strength * result.soft_iron)
         doubt = doubt_strength(measured, field_strength)
         if doubt:
             result = replace(result, converged=False, message=f"{doubt}; {result.message}")

@@ -31,7 +31,7 @@ from magyc_gtsam.estimators.model_error.components import likeliest
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.noise_levels import truncated
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.banded import BandFactor, forward_solved
+from magyc_gtsam.factors.chain.banded import forward_solved
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
@@ -153,7 +153,7 @@ def _scores(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Score]:
     later = np.arange(count) >= count - np.array(numbers)[:, None]
     columns = (later[:, None, None] * reduced.on_parameters[_IRON]).reshape(-1, 3, count)
     border = np.einsum("ian,kin->kan", reduced.on_direction, columns)
-    absorbed = forward_solved(BandFactor.of(reduced.factor), border)
+    absorbed = forward_solved(reduced.band_factor, border)
     cross = np.einsum("kin,pin->kp", columns, reduced.on_parameters) - absorbed @ reduced.half[:, :-1]
     gradient = np.einsum("kin,in->k", columns, residual) - absorbed @ reduced.half[:, -1]
     explained = cross @ replace(fit, reduced=reduced).covariance

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.recording.checks import Array
 from magyc_gtsam.recording.recording import Recording
 
@@ -56,7 +57,8 @@ class RunningFingerprint:
         rows = np.vstack([self._last, values])
         cells = _cells(rows)
         moved = np.flatnonzero(_moved(cells))
-        self._hashes = np.union1d(self._hashes, _smallest(cells[moved]))[:_KEPT]
+        smallest = _smallest(cells[moved])
+        self._hashes = np.union1d(self._hashes, smallest)[:_KEPT] if len(self._hashes) else smallest
         self._last = rows[moved[-(_RUN + _BACK - 1) :]]
 
     @property
@@ -78,9 +80,8 @@ def first_shared(own: str, others: Iterable[str]) -> str | None:
 
     A fingerprint of an earlier version, which cannot be compared, shares none.
     """
-    mine = hashes_of(own)
     for other in others:
-        theirs = hashes_of(other)
+        mine, theirs = hashes_of(own), hashes_of(other)
         smallest = np.union1d(mine, theirs)[:_KEPT]
         shared = np.isin(smallest, mine) & np.isin(smallest, theirs)
         if shared.sum() >= min(_LEAST, len(smallest)) > 0:
@@ -90,6 +91,10 @@ def first_shared(own: str, others: Iterable[str]) -> str | None:
 
 def _cells(values: Array) -> Hashes:
     """Return the cells (n,) of samples (n, 3), each as one number."""
+    if compiled.loops:
+        cells = np.empty(len(values), np.uint64)
+        compiled.loops.hash_cells(len(values), compiled.given(values), np.array([_CELL]), _FACTORS, cells)
+        return cells
     return _mixed(np.rint(values.T / _CELL, order="C").astype(np.int64).view(np.uint64))
 
 
@@ -102,14 +107,21 @@ def _smallest(cells: Hashes) -> Hashes:
     """Return the smallest hashes of the runs of cells (n,), each unlike the one before, ascending."""
     if len(cells) < _RUN + _BACK:  # a run comes after the cells to which it may return
         return np.empty(0, np.uint64)
+    return np.unique(_kept_runs(cells, 2 * _KEPT))[:_KEPT]  # more than are kept, since some may be equal
+
+
+def _kept_runs(cells: Hashes, few: int) -> Hashes:
+    """Return the few smallest hashes of the runs of cells that do not return to the same ones."""
+    if compiled.loops:
+        runs, rules = np.empty(few, np.uint64), np.array([_RUN, _BACK, _MOST_BACK, 8 * _BYTES], dtype=float)
+        return runs[: int(compiled.loops.hash_runs(len(cells), compiled.given(cells), _FACTORS, rules, runs))]
     runs = _hashed_runs(cells[_BACK:]) >> np.uint64(64 - 8 * _BYTES)
     back = np.zeros(len(cells) - _BACK, dtype=bool)
     for k in range(2, _BACK + 1):
         back |= cells[_BACK:] == cells[_BACK - k : -k]
     returns = np.cumsum(np.append(0, back))
-    runs = runs[returns[_RUN:] - returns[:-_RUN] <= _MOST_BACK]
-    few = 2 * _KEPT  # more than are kept, since some may be equal
-    return np.unique(runs if len(runs) <= few else np.partition(runs, few)[:few])[:_KEPT]
+    kept: Hashes = runs[returns[_RUN:] - returns[:-_RUN] <= _MOST_BACK]
+    return kept if len(kept) <= few else np.partition(kept, few)[:few]
 
 
 def _hashed_runs(cells: Hashes) -> Hashes:

@@ -63,7 +63,10 @@ def _may_be_stuck(axis: Array) -> bool:
     """
     half = stuck.LEAST_SAMPLES // 2
     blocks = axis[: len(axis) // half * half].reshape(-1, half)
-    blocks = blocks[blocks[:, 0] == blocks[:, -1]]
+    alike = blocks[:, 0] == blocks[:, -1]
+    if not alike.any():
+        return False
+    blocks = blocks[alike]
     return bool((blocks == blocks[:, :1]).all(axis=1).any())
 
 

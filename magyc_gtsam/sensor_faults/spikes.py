@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.single_samples import SingleSamples
 
@@ -76,6 +77,9 @@ def _may_stand_out(value: Array) -> bool:
 
     The quartile of `_noise_of_blocks` is below a limit if more differences are than its rank, which needs no sorting.
     """
+    if compiled.loops:
+        share, block = np.array([_QUARTILE / _NOISES]), np.array([float(_BLOCK)])
+        return bool(compiled.loops.calm_blocks(len(value), compiled.given(value), share, block))
     change, axes = _changes(value), np.ascontiguousarray(value.T)
     second = np.abs(change[..., 1:] - change[..., :-1])
     limit = np.abs(axes[:, 1:] - axes[:, :-1]).max(axis=1) * (_QUARTILE / _NOISES)

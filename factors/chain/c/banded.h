@@ -4,7 +4,7 @@
 #ifndef MAGYC_BANDED_H
 #define MAGYC_BANDED_H
 
-#include "common.h"
+#include "lanes.h"
 
 /* Cholesky factor of a band (m, 4), lower, by columns; returns 0, or the number of the first row that has no root. */
 static size factorise(size m, in_t band, out_t factor, out_t inverse)
@@ -64,24 +64,6 @@ WIDE_VECTORS static void backward_rows(size first, size some, in_t factor, in_t 
     }
 }
 
-/* Copy `some` windows of a tile to or from a column, whose entry for tangent a of window t is at a * tangent + t * step
-   there. */
-static void into_tile(out_t tile, int c, size some, in_t column, size tangent, size step)
-{
-    for (size t = 0; t < some; t++) {
-        tile[2 * TOGETHER * t + c] = column[t * step];
-        tile[2 * TOGETHER * t + TOGETHER + c] = column[tangent + t * step];
-    }
-}
-
-static void from_tile(in_t tile, int c, size some, out_t column, size tangent, size step)
-{
-    for (size t = 0; t < some; t++) {
-        column[t * step] = tile[2 * TOGETHER * t + c];
-        column[tangent + t * step] = tile[2 * TOGETHER * t + TOGETHER + c];
-    }
-}
-
 /* Solutions of all columns: right (count, 2, n) and solution (count, 2n) forward, and the other way round backward. */
 static void solve_all(size n, int backward, const double *factor, const double *inverse, const double *right,
                       size count, double *solution)
@@ -90,17 +72,23 @@ static void solve_all(size n, int backward, const double *factor, const double *
     size pieces = (n + STRETCH - 1) / STRETCH;
     for (size own = 0; own < count; own += TOGETHER) {
         double last[2 * TOGETHER] = {0};
-        int some = (int)LEAST(TOGETHER, count - own);
+        size some = LEAST(TOGETHER, count - own);
         if (some < TOGETHER)
             memset(tile, 0, sizeof tile);
         for (size piece = 0; piece < pieces; piece++) {
             size first = STRETCH * (backward ? pieces - 1 - piece : piece), length = LEAST(STRETCH, n - first);
             size from = 2 * n * own + (backward ? 2 * first : first), to = 2 * n * own + (backward ? first : 2 * first);
-            for (int c = 0; c < some; c++)
-                into_tile(tile, c, length, right + from + 2 * n * c, backward ? 1 : n, backward ? 2 : 1);
-            (backward ? backward_rows : forward_rows)(first, length, factor, inverse, tile, last);
-            for (int c = 0; c < some; c++)
-                from_tile(tile, c, length, solution + to + 2 * n * c, backward ? n : 1, backward ? 1 : 2);
+            if (backward) {
+                into_lanes(2 * length, some, right + from, 2 * n, tile, TOGETHER);
+                backward_rows(first, length, factor, inverse, tile, last);
+                for (int a = 0; a < 2; a++)
+                    from_lanes(length, some, tile + a * TOGETHER, 2 * TOGETHER, solution + to + a * n, 2 * n);
+            } else {
+                for (int a = 0; a < 2; a++)
+                    into_lanes(length, some, right + from + a * n, 2 * n, tile + a * TOGETHER, 2 * TOGETHER);
+                forward_rows(first, length, factor, inverse, tile, last);
+                from_lanes(2 * length, some, tile, TOGETHER, solution + to, 2 * n);
+            }
         }
     }
 }

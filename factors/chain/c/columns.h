@@ -41,8 +41,20 @@ WIDE_VECTORS static void of_links(size m, size first, size stop, in_t x, in_t sc
     }
 }
 
+/* White windows w (n,) = x times scale of a column on one axis, and their products with the Jacobian. */
+WIDE_VECTORS static void of_axis(size first, size stop, in_t x, in_t scale, in_t j0, in_t j1, out_t w, out_t b0, out_t b1)
+{
+    for (size t = first; t < stop; t++) {
+        double a = x[t] * scale[t];
+        w[t] = a;
+        b0[t - first] = j0[t] * a;
+        b1[t - first] = j1[t] * a;
+    }
+}
+
 typedef struct {
     size n, axis;
+    const int64_t *on; /* the axis of the windows of each column, (k,), or NULL if they are on all */
     const double *window, *window_scale, *link, *link_scale, *on_direction, *before, *after, *factor, *inverse;
     double *white_window, *white_link, *absorbed;
 } Columns;
@@ -50,99 +62,120 @@ typedef struct {
 /* From the first arrays of `whiten` and of `score`, and the room for what is whitened. */
 static Columns whitening(size n, int each_axis, double *const *at, double *window, double *link, double *absorbed)
 {
-    Columns result = {n,     each_axis ? n : 0, at[0], at[1], at[2],  at[3], at[4],
+    Columns result = {n,     each_axis ? n : 0, NULL,  at[0], at[1], at[2],  at[3], at[4],
                       at[5], at[6],             at[7], at[8], window, link,  absorbed};
     return result;
 }
 
+/* The stretch `first` to `stop` of column c, whitened, and its products b (2, STRETCH) with the directions' Jacobian. */
+static void whiten_stretch(const Columns *k, size c, size first, size stop, double *b)
+{
+    size n = k->n, m = n - 1, window = 3 * n * c, link = 3 * m * c;
+    if (k->on) {
+        size i = (size)k->on[c];
+        const double *j = k->on_direction + 2 * i * n;
+        of_axis(first, stop, k->window + n * c, k->window_scale + i * k->axis, j, j + n, k->white_window + n * c, b,
+                b + STRETCH);
+    } else if (k->window)
+        of_windows(n, first, stop, k->window + window, k->window_scale, k->axis, k->on_direction,
+                   k->white_window + window, b, b + STRETCH);
+    else
+        memset(b, 0, 2 * STRETCH * sizeof(double));
+    if (k->link)
+        of_links(m, first, stop, k->link + link, k->link_scale, k->before, k->after, k->white_link + link, b,
+                 b + STRETCH);
+}
+
 static void whiten_together(const Columns *k, size own, size some)
 {
-    double tile[2 * STRETCH * TOGETHER], last[2 * TOGETHER] = {0}, b[2 * STRETCH];
-    size n = k->n, m = n - 1;
+    double tile[2 * STRETCH * TOGETHER], last[2 * TOGETHER] = {0}, b[4 * 2 * STRETCH];
+    size n = k->n;
     if (some < TOGETHER)
         memset(tile, 0, sizeof tile);
     for (size first = 0; first < n; first += STRETCH) {
-        size stop = LEAST(n, first + STRETCH);
-        for (size c = 0; c < some; c++) {
-            size window = 3 * n * (own + c), link = 3 * m * (own + c);
-            if (k->window)
-                of_windows(n, first, stop, k->window + window, k->window_scale, k->axis, k->on_direction,
-                           k->white_window + window, b, b + STRETCH);
-            else
-                memset(b, 0, sizeof b);
-            if (k->link)
-                of_links(m, first, stop, k->link + link, k->link_scale, k->before, k->after, k->white_link + link, b,
-                         b + STRETCH);
-            into_tile(tile, (int)c, stop - first, b, STRETCH, 1);
+        size stop = LEAST(n, first + STRETCH), length = stop - first;
+        for (size c = 0; c < some; c += 4) {
+            size few = LEAST(4, some - c);
+            for (size i = 0; i < few; i++)
+                whiten_stretch(k, own + c + i, first, stop, b + 2 * STRETCH * i);
+            for (int a = 0; a < 2; a++)
+                into_lanes(length, few, b + a * STRETCH, 2 * STRETCH, tile + a * TOGETHER + c, 2 * TOGETHER);
         }
-        forward_rows(first, stop - first, k->factor, k->inverse, tile, last);
-        for (size c = 0; c < some; c++)
-            from_tile(tile, (int)c, stop - first, k->absorbed + 2 * n * (own + c) + 2 * first, 1, 2);
+        forward_rows(first, length, k->factor, k->inverse, tile, last);
+        from_lanes(2 * length, some, tile, TOGETHER, k->absorbed + 2 * n * own + 2 * first, 2 * n);
     }
 }
 
+/* Products of whitened columns with rows (rows, 3n) on the windows and (rows, 3n − 3) on the links. */
 typedef struct {
-    Columns columns;                /* white_window, white_link and absorbed are room for `together` columns */
-    size parameters, links, free;   /* rows of the parameters with the residual below them; of those on the links */
-    const int64_t *linked;          /* row of the parameters of each row on the links */
-    const double *half, *of_window, *of_link, *root, *residual; /* root (free, parameters − 1), residual (free,) */
-    double *pull;                   /* (parameters + links, together) */
+    Columns columns; /* white_window, white_link and absorbed are room for some columns */
+    size rows;
+    const double *of_window, *of_link;
+    size *place[3], count[3]; /* numbers of the columns there on each axis, if they are on one */
 } Fit;
 
-/* The rows own to own + some (of `count` in all) of one group or more; `together` columns at most. */
-static void pull_together(const Fit *f, size own, size some, size count, double *explained, double *score)
+/* The white columns own to own + some of `all`, and their products (rows, all). */
+static void products_of(Fit *f, size own, size some, size all, double *products)
 {
     const Columns *k = &f->columns;
-    size n = k->n, m = n - 1, p = f->parameters;
+    size n = k->n, m = n - 1, length = k->on ? n : 3 * n;
     Columns part = *k; /* read from `own` on, written from the start */
-    part.window = k->window ? k->window + 3 * n * own : NULL;
+    part.window = k->window ? k->window + length * own : NULL;
     part.link = k->link ? k->link + 3 * m * own : NULL;
+    part.on = k->on ? k->on + own : NULL;
     for (size first = 0; first < some; first += TOGETHER)
         whiten_together(&part, first, LEAST(TOGETHER, some - first));
-    memset(f->pull, 0, sizeof(double) * (size_t)(some * (p + f->links)));
-    add_products(2 * n, -1.0, f->half, p, k->absorbed, some, f->pull);
-    if (k->window)
-        add_products(3 * n, 1.0, f->of_window, p, k->white_window, some, f->pull);
-    if (k->link) {
-        double *on_links = f->pull + p * some;
-        add_products(3 * m, 1.0, f->of_link, f->links, k->white_link, some, on_links);
-        for (size i = 0; i < f->links; i++)
-            for (size c = 0; c < some; c++)
-                f->pull[(size)f->linked[i] * some + c] += on_links[i * some + c];
+    for (size i = 0; i < f->rows; i++)
+        memset(products + i * all + own, 0, sizeof(double) * (size_t)some);
+    for (size i = 0; part.on && i < 3; i++) {
+        f->count[i] = 0;
+        for (size c = 0; c < some; c++)
+            if ((size)part.on[c] == i)
+                f->place[i][f->count[i]++] = c;
+        Rows rows = {f->of_window + i * n, 3 * n, f->rows, NULL, 0};
+        Rows columns = {k->white_window, n, f->count[i], f->place[i], 0};
+        add_products(n, 1.0, rows, columns, products + own, all);
     }
-    for (size c = 0; c < some; c++) {
-        double sum = -f->pull[(p - 1) * some + c];
-        for (size i = 0; i < f->free; i++) {
-            double kept = 0.0;
-            for (size j = 0; j < p - 1; j++)
-                kept += f->root[i * (p - 1) + j] * f->pull[j * some + c];
-            explained[i * count + own + c] = kept;
-            sum += f->residual[i] * kept;
-        }
-        score[own + c] = sum;
+    if (k->window && !part.on) {
+        Rows rows = {f->of_window, 3 * n, f->rows, NULL, 0}, columns = {k->white_window, 3 * n, some, NULL, 0};
+        add_products(3 * n, 1.0, rows, columns, products + own, all);
+    }
+    if (k->link) {
+        Rows rows = {f->of_link, 3 * m, f->rows, NULL, 0}, columns = {k->white_link, 3 * m, some, NULL, 0};
+        add_products(3 * m, 1.0, rows, columns, products + own, all);
     }
 }
 
-/* G (k, k) of one group, whose whitened rows begin at `first` and whose columns at `own` of `count`. */
-static void information(const Fit *f, size first, size k, const double *explained, size own, size count,
-                        double rounding, double *normal)
+/* G (k, k) of the white columns from `first` on, one group, whose products with all rows but the last, `explained`, are
+   `all` apart. */
+static void information(const Fit *f, size first, size k, const double *explained, size all, double rounding,
+                        double *normal)
 {
     const Columns *c = &f->columns;
     size n = c->n, m = n - 1;
     memset(normal, 0, sizeof(double) * (size_t)(k * k));
-    add_gram(2 * n, -1.0, c->absorbed + 2 * n * first, k, normal);
-    for (size i = 0; i < k; i++) /* half of the ridge, of what is absorbed */
-        f->pull[i] = -normal[i * k + i];
-    if (c->window)
-        add_gram(3 * n, 1.0, c->white_window + 3 * n * first, k, normal);
+    add_whole_gram(2 * n, -1.0, c->absorbed + 2 * n * first, k, normal);
+    for (size i = 0; i < k; i++) /* the ridge below is of the columns themselves */
+        normal[i * k + i] /= 1 + rounding;
+    for (int i = 0; c->on && i < 3; i++) {
+        size begin = 0, stop;
+        while (begin < f->count[i] && f->place[i][begin] < first)
+            begin++;
+        for (stop = begin; stop < f->count[i] && f->place[i][stop] < first + k;)
+            stop++;
+        Rows rows = {c->white_window + n * first, n, stop - begin, f->place[i] + begin, first};
+        add_gram(n, 1.0, rows, normal, k);
+    }
+    if (c->window && !c->on)
+        add_whole_gram(3 * n, 1.0, c->white_window + 3 * n * first, k, normal);
     if (c->link)
-        add_gram(3 * m, 1.0, c->white_link + 3 * m * first, k, normal);
+        add_whole_gram(3 * m, 1.0, c->white_link + 3 * m * first, k, normal);
     for (size i = 0; i < k; i++) {
-        normal[i * k + i] += rounding * (normal[i * k + i] + f->pull[i]);
+        normal[i * k + i] *= 1 + rounding;
         for (size j = 0; j <= i; j++) {
             double kept = 0.0;
-            for (size r = 0; r < f->free; r++)
-                kept += explained[r * count + own + i] * explained[r * count + own + j];
+            for (size r = 0; r < f->rows - 1; r++)
+                kept += explained[r * all + i] * explained[r * all + j];
             normal[i * k + j] -= kept;
             normal[j * k + i] = normal[i * k + j];
         }

@@ -16,6 +16,9 @@
 #endif
 #if defined(_MSC_VER)
 #define restrict __restrict
+#define ALWAYS_INLINE static __forceinline
+#else
+#define ALWAYS_INLINE static inline __attribute__((always_inline))
 #endif
 
 typedef Py_ssize_t size;

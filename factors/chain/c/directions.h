@@ -17,6 +17,19 @@ WIDE_VECTORS static void less_directions(size n, size p, in_t jacobian, in_t sol
         }
 }
 
+/* columns (p, 3, n − 1) −= Jacobians (3, 2, n − 1) of the links on the directions before and after them, of solved. */
+WIDE_VECTORS static void less_linked(size n, size p, in_t before, in_t after, in_t solved, out_t columns)
+{
+    size m = n - 1;
+    for (size c = 0; c < p; c++)
+        for (int i = 0; i < 3; i++) {
+            const double *x = solved + 2 * n * c, *b = before + 2 * i * m, *a = after + 2 * i * m;
+            double *y = columns + (3 * c + i) * m;
+            for (size t = 0; t < m; t++)
+                y[t] -= b[t] * x[t] + b[m + t] * x[n + t] + a[t] * x[t + 1] + a[m + t] * x[n + t + 1];
+        }
+}
+
 /* The directions moved by a step in their tangent planes that solves Lᵀ x = pull (2n,), which becomes x. */
 WIDE_VECTORS static void back_and_moved(size n, in_t factor, in_t inverse, in_t basis, in_t direction, out_t pull,
                                         out_t moved)
@@ -63,30 +76,37 @@ WIDE_VECTORS static void moved_rotations(size n, in_t rotation, in_t by_bias, in
     }
 }
 
-/* result (9, n) = Exp of the vectors lever (3, 3, n) times change (3,), as `rotations.exponential_matrices`. */
+/* The rotation matrix of a vector, as `rotations.exponential_matrices`. */
+static inline void exponential_of(const double v[3], double result[9])
+{
+    double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], a, b;
+    if (square < 1e-3) { /* series, exact to rounding */
+        a = 1 - square * (1. / 6 - square * (1. / 120 - square / 5040));
+        b = 0.5 - square * (1. / 24 - square * (1. / 720 - square / 40320));
+    } else {
+        double angle = sqrt(square), half = sin(0.5 * angle) / (0.5 * angle);
+        a = sin(angle) / angle;
+        b = 0.5 * half * half;
+    }
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        result[4 * i] = 1 - b * square + b * v[i] * v[i];
+        result[3 * i + j] = b * v[i] * v[j] - a * v[k];
+        result[3 * j + i] = b * v[i] * v[j] + a * v[k];
+    }
+}
+
+/* result (9, n) = Exp of the vectors lever (3, 3, n) times change (3,). */
 static void turns(size n, in_t lever, in_t change, out_t result)
 {
     for (size t = 0; t < n; t++) {
-        double v[3], square = 0.0, a, b;
-        for (int i = 0; i < 3; i++) {
+        double v[3], turn[9];
+        for (int i = 0; i < 3; i++)
             v[i] = lever[3 * i * n + t] * change[0] + lever[(3 * i + 1) * n + t] * change[1] +
                    lever[(3 * i + 2) * n + t] * change[2];
-            square += v[i] * v[i];
-        }
-        if (square < 1e-3) { /* series, exact to rounding */
-            a = 1 - square * (1. / 6 - square * (1. / 120 - square / 5040));
-            b = 0.5 - square * (1. / 24 - square * (1. / 720 - square / 40320));
-        } else {
-            double angle = sqrt(square), half = sin(0.5 * angle) / (0.5 * angle);
-            a = sin(angle) / angle;
-            b = 0.5 * half * half;
-        }
-        for (int i = 0; i < 3; i++) {
-            int j = (i + 1) % 3, k = (i + 2) % 3;
-            result[4 * i * n + t] = 1 - b * square + b * v[i] * v[i];
-            result[(3 * i + j) * n + t] = b * v[i] * v[j] - a * v[k];
-            result[(3 * j + i) * n + t] = b * v[i] * v[j] + a * v[k];
-        }
+        exponential_of(v, turn);
+        for (int i = 0; i < 9; i++)
+            result[i * n + t] = turn[i];
     }
 }
 

@@ -7,6 +7,44 @@
 
 #define RENORMALISED 64 /* steps after which a product is given unit norm again */
 
+#define HOLE 10.0 /* ratio of two neighbouring steps from which the longer one is a hole */
+
+/* Rotation vectors (3, n − 1) from each of n rates (n, 3) to the next, as `rotations.increments` gives them between even
+   steps; returns the number of those that are not. */
+static double turns_between(size n, in_t time, in_t rate, in_t bias, out_t result)
+{
+    size m = n - 1, uneven = 0;
+    double past[3], here[3], step = time[1] - time[0]; /* the last slope, and the change over the step */
+    int even = 0;
+    for (int i = 0; i < 3; i++) {
+        here[i] = (rate[3 + i] - rate[i]) / step;
+        past[i] = 0.0;
+    }
+    for (size t = 0; t < m; t++) {
+        const double *one = rate + 3 * t, *two = one + 3;
+        double after = t + 1 < m ? time[t + 2] - time[t + 1] : step, square = step * step / 12, w[3], v[3];
+        int near = t + 1 < m && fmax(step, after) < HOLE * fmin(step, after);
+        for (int i = 0; i < 3; i++) { /* the slope of the parabola at the end of the step */
+            double change = t + 1 < m ? (two[3 + i] - two[i]) / after : 0.0;
+            double slope = here[i] + step / (step + after) * (change - here[i]);
+            w[i] = one[i] - bias[i];
+            v[i] = two[i] - bias[i];
+            result[m * i + t] = 0.5 * step * (w[i] + v[i]);
+            if (t && near && even)
+                result[m * i + t] -= square * (slope - past[i]);
+            past[i] = slope;
+            here[i] = change;
+        }
+        uneven += t && t + 1 < m && !(near && even);
+        result[t] += square * (w[1] * v[2] - w[2] * v[1]);
+        result[m + t] += square * (w[2] * v[0] - w[0] * v[2]);
+        result[2 * m + t] += square * (w[0] * v[1] - w[1] * v[0]);
+        step = after;
+        even = near;
+    }
+    return (double)uneven;
+}
+
 /* Products of the exponentials of n rotation vectors (3, n), n + 1 of them, the first one. */
 static void chained(size n, in_t vector, out_t p, out_t q)
 {
@@ -96,6 +134,33 @@ static void window_sums(size windows, const int64_t *start, size m, in_t p, in_t
         }
         for (int i = 0; i < 27; i++)
             sums[i * windows + k] = sum[i];
+    }
+}
+
+/* From sums (27, n) over windows, their counts and the variances of their stamps (n,): the mean rotation to the sensor
+   (3, 3, n), its derivatives by the bias (3, 3, 3, n) and by the delay (3, 3, n), and the levers (3, 3, n − 1). */
+static void motion_of_windows(size n, in_t sums, in_t count, in_t spread, out_t rotation, out_t by_bias, out_t by_delay,
+                              out_t lever)
+{
+    for (size t = 0; t < n; t++) {
+        double share = 1 / count[t], world[3][3], swung[3][3]; /* world: rows of the rotation to the world */
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double rate = sums[(18 + 3 * i + j) * n + t] * share;
+                world[i][j] = sums[(3 * i + j) * n + t] * share;
+                rotation[(3 * j + i) * n + t] = world[i][j];
+                by_delay[(3 * i + j) * n + t] = rate;
+                swung[i][j] = rate * spread[t];
+                if (t)
+                    lever[(3 * i + j) * (n - 1) + t - 1] =
+                        sums[(9 + 3 * i + j) * n + t] * share - sums[(9 + 3 * i + j) * n + t - 1] / count[t - 1];
+            }
+        for (int k = 0; k < 3; k++) /* [row k of M']: column b of the world's rotation × this row */
+            for (int b = 0; b < 3; b++)
+                for (int i = 0; i < 3; i++) {
+                    int j = (i + 1) % 3, l = (i + 2) % 3;
+                    by_bias[((3 * k + i) * 3 + b) * n + t] = world[j][b] * swung[k][l] - world[l][b] * swung[k][j];
+                }
     }
 }
 

@@ -185,6 +185,29 @@ static void of_link_stretch(const Chain *k, size first, size some)
     }
 }
 
+/* Residuals that are not whitened: of the windows (3, n), B M g + h less the field, and of the links (3, n − 1). */
+WIDE_VECTORS static void plain_residuals(size n, in_t matrix, in_t rotation, in_t turn, in_t field, in_t iron, in_t g,
+                                         out_t window, out_t link)
+{
+    size m = n - 1;
+    for (size t = 0; t < n; t++) {
+        double body[3];
+        for (int i = 0; i < 3; i++) {
+            const double *r = rotation + 3 * i * n + t;
+            body[i] = r[0] * g[t] + r[n] * g[n + t] + r[2 * n] * g[2 * n + t];
+        }
+        for (int i = 0; i < 3; i++)
+            window[i * n + t] = matrix[3 * i] * body[0] + matrix[3 * i + 1] * body[1] + matrix[3 * i + 2] * body[2] -
+                                (field[i * n + t] - iron[i]);
+    }
+    for (int i = 0; i < 3; i++) {
+        const double *r = turn + 3 * i * m;
+        for (size t = 0; t < m; t++)
+            link[i * m + t] =
+                g[i * n + t + 1] - (r[t] * g[t] + r[m + t] * g[n + t] + r[2 * m + t] * g[2 * n + t]);
+    }
+}
+
 /* The matrix of the directions, (2n, 4): its lower band. */
 WIDE_VECTORS static void band_of(const Chain *k)
 {

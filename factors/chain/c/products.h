@@ -5,47 +5,76 @@
 
 #include "common.h"
 
-/* out += sign a bᵀ for one or two rows a with some of four rows b, all of m entries and one below the other. The sums
-   stay in registers, which hides their latency and halves what is read. */
-WIDE_VECTORS static void dots(size m, double sign, in_t a, int pair, in_t b, int some, out_t out, size row)
+/* Rows of m entries: the first at `at`, each `step` after the one before; if `place` is given, those with its numbers,
+   counted from `origin`. */
+typedef struct {
+    const double *at;
+    size step, count;
+    const size *place;
+    size origin;
+} Rows;
+
+static size number_of(const Rows *rows, size i) { return rows->place ? rows->place[i] - rows->origin : i; }
+
+/* Products of two rows with four; the sums stay in registers, which hides their latency and halves what is read. */
+WIDE_VECTORS static void dots(size m, in_t a, in_t other, const double *const b[4], double sum[8])
 {
-    const double *other = a + pair * m, *b1 = b + (some > 1) * m, *b2 = b1 + (some > 2) * m, *b3 = b2 + (some > 3) * m;
+    const double *b0 = b[0], *b1 = b[1], *b2 = b[2], *b3 = b[3];
     double s0 = 0, s1 = 0, s2 = 0, s3 = 0, r0 = 0, r1 = 0, r2 = 0, r3 = 0;
 #pragma omp simd reduction(+ : s0, s1, s2, s3, r0, r1, r2, r3)
     for (size t = 0; t < m; t++) {
         double x = a[t], y = other[t];
-        s0 += x * b[t];
+        s0 += x * b0[t];
         s1 += x * b1[t];
         s2 += x * b2[t];
         s3 += x * b3[t];
-        r0 += y * b[t];
+        r0 += y * b0[t];
         r1 += y * b1[t];
         r2 += y * b2[t];
         r3 += y * b3[t];
     }
-    double s[4] = {s0, s1, s2, s3}, r[4] = {r0, r1, r2, r3};
-    for (int c = 0; c < some; c++) {
-        out[c] += sign * s[c];
-        if (pair)
-            out[row + c] += sign * r[c];
+    double s[8] = {s0, s1, s2, s3, r0, r1, r2, r3};
+    memcpy(sum, s, sizeof s);
+}
+
+/* out (·, columns) += sign a bᵀ of rows a and b, at their numbers; of rows a from that of b on if they are the same. */
+static void add_some(size m, double sign, Rows a, Rows b, int same, double *out, size columns)
+{
+    for (size j = 0; j < b.count; j += 4) {
+        const double *some[4];
+        size to[4], stop = LEAST(4, b.count - j);
+        for (size c = 0; c < 4; c++) {
+            to[c] = number_of(&b, j + LEAST(c, stop - 1));
+            some[c] = b.at + to[c] * b.step;
+        }
+        for (size i = same ? j : 0; i < a.count; i += 2) {
+            int pair = i + 1 < a.count;
+            size one = number_of(&a, i), two = number_of(&a, i + pair);
+            double sum[8];
+            dots(m, a.at + one * a.step, a.at + two * a.step, some, sum);
+            for (size c = 0; c < stop; c++) {
+                out[one * columns + to[c]] += sign * sum[c];
+                if (pair)
+                    out[two * columns + to[c]] += sign * sum[4 + c];
+            }
+        }
     }
 }
 
-/* out (rows, columns) += sign a bᵀ of rows a (rows, m) and b (columns, m). */
-static void add_products(size m, double sign, const double *a, size rows, const double *b, size columns, double *out)
+/* out (·, columns) += sign a bᵀ. */
+static void add_products(size m, double sign, Rows a, Rows b, double *out, size columns)
 {
-    for (size j = 0; j < columns; j += 4)
-        for (size i = 0; i < rows; i += 2)
-            dots(m, sign, a + i * m, i + 1 < rows, b + j * m, (int)LEAST(4, columns - j), out + i * columns + j,
-                 columns);
+    add_some(m, sign, a, b, 0, out, columns);
 }
 
-/* gram (k, k) += sign a aᵀ of rows a (k, m); above the diagonal it is not complete. */
-static void add_gram(size m, double sign, const double *a, size k, double *gram)
+/* gram (k, k) += sign a aᵀ of rows a; above the diagonal it is not complete. */
+static void add_gram(size m, double sign, Rows a, double *gram, size k) { add_some(m, sign, a, a, 1, gram, k); }
+
+/* The same of all k rows (k, m). */
+static void add_whole_gram(size m, double sign, const double *a, size k, double *gram)
 {
-    for (size j = 0; j < k; j += 4)
-        for (size i = j; i < k; i += 2)
-            dots(m, sign, a + i * m, i + 1 < k, a + j * m, (int)LEAST(4, k - j), gram + i * k + j, k);
+    Rows rows = {a, m, k, NULL, 0};
+    add_gram(m, sign, rows, gram, k);
 }
 
 #endif

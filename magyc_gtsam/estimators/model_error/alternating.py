@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import Streams
+from magyc_gtsam.factors.chain import compiled
 
 _BLOCK = 64  # samples after which the order of the two may have changed, by a lost sample
 _BLOCKS = 300  # most blocks used, evenly from the whole log
@@ -51,12 +52,7 @@ def alternating(recording: Streams) -> Alternation | None:
     first = _BLOCK * np.arange((len(value) - 2) // _BLOCK)
     if len(first) > _BLOCKS:
         first = first[np.linspace(0, len(first) - 1, _BLOCKS).astype(int)]
-    field = value.T[:, first[:, None] + np.arange(_BLOCK + 2)]  # axes, blocks, samples with their neighbours
-    blocks = 0.5 * field[..., 1:-1] - 0.25 * (field[..., :-2] + field[..., 2:])
-    blocks[..., 1::2] *= -1
-    mean = blocks.mean(axis=2)
-    # By each block's own scatter: that of rounded readings is in a few blocks, where one is near a step.
-    inside = np.square(blocks - mean[:, :, None]).sum(axis=2)
+    mean, inside = _of_blocks(value, first)
     noise = inside / ((_BLOCK - 3) * _SHARE * _BLOCK)  # T², variance of `mean`
     square = np.square(mean)
     ratio = float(np.divide(square, noise, out=np.zeros_like(square), where=noise > 1e-30).mean())
@@ -64,3 +60,20 @@ def alternating(recording: Streams) -> Alternation | None:
     if gain < _SIGNIFICANT:
         return None
     return Alternation(mean @ mean.T / mean.shape[1], gain)
+
+
+def _of_blocks(value: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (3, blocks) the alternation in each block, and the sum of squares about it.
+
+    By each block's own scatter: that of rounded readings is in a few blocks, where one is near a step.
+    """
+    if compiled.loops:
+        mean, inside = np.empty((3, len(first))), np.empty((3, len(first)))
+        inputs = map(compiled.given, (value, first.astype(np.int64)))
+        compiled.loops.alternate(_BLOCK, *inputs, mean, inside)
+        return mean, inside
+    field = value.T[:, first[:, None] + np.arange(_BLOCK + 2)]  # axes, blocks, samples with their neighbours
+    blocks = 0.5 * field[..., 1:-1] - 0.25 * (field[..., :-2] + field[..., 2:])
+    blocks[..., 1::2] *= -1
+    mean = blocks.mean(axis=2)
+    return mean, np.square(blocks - mean[:, :, None]).sum(axis=2)

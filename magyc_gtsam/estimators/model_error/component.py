@@ -85,7 +85,9 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Famil
     result = beside.moves([each.moving for each in families])
     for each, move in zip(families, result, strict=True):
         if each.family.at_end is not None:
-            there = each.family.at_end(motion) * _beside_terms(each.moving)
+            there = each.family.at_end(motion)
+            if beside.fit.terms is not None:
+                there = there * _beside_terms(each.moving)
             move[: len(there)] -= there
     return result
 
@@ -140,10 +142,10 @@ def _without_unknown_mixtures(beside: ColumnProducts, motion: WindowMotion, test
     """Return the test without combinations of columns that consist of the gyroscope's noise or are not resolved."""
     family, columns = tested.family, tested.family.columns_of(motion)
     value, axes, _ = tested.principal
-    kept = np.ones(len(value), dtype=bool)
-    for other, most in ((motion.noisier, _NOISE_SHARE), (motion.by_trapezoids, _UNRESOLVED_SHARE)):
-        apart = beside.of(columns.less(family.columns_of(other))).normal
-        kept &= np.einsum("ki,kl,li->i", axes, apart, axes) < most * value
+    others = (motion.noisier, motion.by_trapezoids)
+    parts = beside.of_each([partial(columns.less, family.columns_of(other)) for other in others])
+    noise, unresolved = (np.einsum("ki,ki->i", axes, part.normal @ axes) for part in parts)
+    kept = (noise < _NOISE_SHARE * value) & (unresolved < _UNRESOLVED_SHARE * value)
     if kept.all():
         return tested
     some = axes[:, kept] @ axes[:, kept].T

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.motion import WindowMotion, each_axis
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
@@ -21,7 +21,6 @@ from magyc_gtsam.factors.chain.vech import vech
 _WARM = 300.0  # s, in which a sensor warms up; a shorter log has its share of the largest drift
 
 
-_RESTING = 0.02  # times the log's rate of turn (rms), below which it is at rest; a straight run has more
 _ONSET = 0.85  # share of a recording after which a late drift begins
 
 
@@ -45,7 +44,7 @@ def _since_mean(motion: WindowMotion) -> Array:
 
 def _gain(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a gain on the whole reading that changes linearly with time, one per axis."""
-    return UnmodelledColumns(each_axis(_since_mean(motion) * motion.reading), None)
+    return UnmodelledColumns.axis_by_axis(_since_mean(motion) * motion.reading)
 
 
 def _gain_at_end(motion: WindowMotion) -> Array:
@@ -61,7 +60,7 @@ def _gain_at_end(motion: WindowMotion) -> Array:
 
 def _offset(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a hard iron that changes linearly with time, one per axis."""
-    return UnmodelledColumns(each_axis(motion.strength * np.tile(_since_mean(motion), (3, 1))), None)
+    return motion.in_sensor(_since_mean(motion)[None])
 
 
 def _offset_at_end(motion: WindowMotion) -> Array:
@@ -79,26 +78,12 @@ def _bias_at_end(motion: WindowMotion) -> Array:
     return np.vstack([np.zeros((9, 3)), np.eye(3), np.zeros((PARAMETERS - 12, 3))])
 
 
-def moving(time: Array, rotation: Array) -> np.ndarray:
-    """Return (n,) bool, the windows, with rotations (3, 3, n), in which an instrument is not put down.
-
-    The field is often another one there, which says nothing of its iron.
-    """
-    if len(time) < 3:
-        return np.ones(len(time), dtype=bool)
-    cosine = 0.5 * (np.einsum("ijn,ijn->n", rotation[..., 1:], rotation[..., :-1]) - 1)
-    rate = np.arccos(np.clip(cosine, -1.0, 1.0)) / np.maximum(np.diff(time), 1e-9)
-    least = _RESTING * float(np.sqrt(np.mean(rate**2)))
-    result: np.ndarray = np.maximum(np.append(rate, rate[-1]), np.append(rate[0], rate)) > least
-    return result
-
-
 def late_up_to(largest: float) -> Callable[[WindowMotion], float]:
     """Return the function for the largest late drift that is plausible; 0 if a recording ends at rest."""
 
     def likely(motion: WindowMotion) -> float:
         late = motion.time > motion.time[-1] - (1 - _ONSET) * (motion.time[-1] - motion.time[0])
-        return largest if moving(motion.time, motion.rotation)[late].mean() > 0.5 else 0.0
+        return largest if motion.moving[late].mean() > 0.5 else 0.0
 
     return likely
 
@@ -107,7 +92,7 @@ def _late(motion: WindowMotion, onset: float = _ONSET) -> UnmodelledColumns:
     """Return the columns of a hard iron that begins to change at a share of the recording, linearly up to its end."""
     share = (motion.time - motion.time[0]) / (motion.time[-1] - motion.time[0])
     ramp = late_up_to(1.0)(motion) * np.maximum(share - onset, 0.0) / (1 - onset)
-    return UnmodelledColumns(each_axis(motion.strength * np.tile(ramp, (3, 1))), None)
+    return motion.in_sensor(ramp[None])
 
 
 LATE = LinearDrift(_late, _offset_at_end)

@@ -187,7 +187,7 @@ def _delays(motion: WindowMotion) -> UnmodelledColumns:
 
 def _split(motion: WindowMotion, side: Array) -> UnmodelledColumns:
     """Return columns of soft iron, hard iron and delay that differ between two parts, given by `side` (n,) of ±1."""
-    irons = motion.in_sensor(np.concatenate([side[None], side * motion.unit]))
+    irons = motion.in_sensor(np.concatenate([side[None], side * motion.unit])).on_all_axes
     return UnmodelledColumns(np.concatenate([irons.window, (side * _slope(motion))[None]]), None)
 
 

@@ -7,22 +7,19 @@ from functools import cached_property
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.rest import moving
+from magyc_gtsam.estimators.model_error.turning import aligned, turn_rates
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.median import median
-from magyc_gtsam.factors.chain.rotations import Array, chained, cross, exponential_matrices, matrices
-from magyc_gtsam.factors.chain.spline import Spline
+from magyc_gtsam.factors.chain.rotations import Array, chained, cross
+from magyc_gtsam.factors.chain.spline import Spline, crossed
 from magyc_gtsam.factors.chain.vech import unvech
 
 SLOW = (1, 7)  # half waves in the recording of a slow variation
 ALIKE = 1e-9  # lower bound of denominators, e.g. rad/s of a rate
-
-
-def each_axis(profile: Array) -> Array:
-    """Return (3, 3, n), one column per axis of a profile (3, n)."""
-    return profile[None] * np.eye(3)[:, :, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +72,15 @@ class WindowMotion:
         windows, parameters = fit.chain.windows, fit.state.parameters
         soft = unvech(parameters[:6])
         rotation = fit.chain.rotation(parameters)
-        turning = np.einsum("ijn,kjn->ikn", windows.rotation_rate, rotation)  # [ω]×
-        rate = 0.5 * np.array(
-            [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]
-        )
         bias_error = parameters[9:12] - windows.bias
         drift = np.einsum("ijn,j->in", windows.lever, bias_error)  # of the world in each link
         g = fit.state.direction
-        unit, change = np.einsum("ijn,jn->in", rotation, g), np.einsum("ijn,jn->in", windows.rotation_rate, g)
+        unit, change, rate = turn_rates(rotation, windows.rotation_rate, g)
         apart = np.maximum(np.diff(windows.time), 1e-9)
         return cls(
             time=windows.time,
             rotation=rotation,
-            world=_aligned(matrices(chained(drift.T)).reshape(3, 3, -1), g),
+            world=aligned(chained(drift.T), g),
             unit=unit,
             change=change,
             rate=rate,
@@ -161,6 +154,11 @@ class WindowMotion:
         return replace(self, straight=True)
 
     @cached_property
+    def moving(self) -> np.ndarray:
+        """(n,) bool, windows in which the instrument is not put down."""
+        return moving(self.time, self.rotation)
+
+    @cached_property
     def spread(self) -> float:
         """rad/s, root mean square of the rate of turn per axis."""
         return max(float(np.sqrt(np.mean(self.rate**2))), ALIKE)
@@ -177,7 +175,7 @@ class WindowMotion:
 
     def in_sensor(self, profiles: Array) -> UnmodelledColumns:
         """Return the columns of profiles (k, n) along each of the sensor's axes, in units of the field strength."""
-        return along_axes(profiles, (np.eye(3) * self.strength)[:, :, None])
+        return UnmodelledColumns.axis_by_axis(np.repeat(self.strength * profiles, 3, axis=0))
 
     def in_world(self, profiles: Array) -> UnmodelledColumns:
         """Return the columns of profiles (k, n) along each of the world's axes, in units of the field strength."""
@@ -205,8 +203,13 @@ class WindowMotion:
     def slowly_about_each_axis(self, profiles: Array) -> UnmodelledColumns:
         """Return the same columns of profiles that hardly change within a link, by the samples' integrals over it."""
         own = profiles if self.window is None else profiles[:, self.window]
-        turned = 0.5 * (own[:, 1:] + own[:, :-1])[:, None, None] * -self.lever.swapaxes(0, 1)
-        return UnmodelledColumns(None, self._across(turned.reshape(-1, *turned.shape[2:])))
+        columns = 0.5 * (own[:, 1:] + own[:, :-1])[:, None, None] * self._by_bias
+        return UnmodelledColumns(None, columns.reshape(-1, *columns.shape[2:]))
+
+    @cached_property
+    def _by_bias(self) -> Array:
+        """(3, 3, links), the columns of an error of the bias, rad per rad/s."""
+        return self._across(-self.lever.swapaxes(0, 1))
 
     def gyroscope_scales(self) -> UnmodelledColumns:
         """Return the three columns of the scale errors of the gyroscope's axes."""
@@ -230,17 +233,14 @@ class WindowMotion:
 
     def _links(self, turned: Array) -> Array:
         """Return columns of the links (k, 3, n − 1) rad by rate errors (k, 3, n) rad/s in the integrated world."""
-        integral = self.integral(turned)
-        if self.window is not None:
-            integral = np.add.reduceat(integral, self.window[:-1], axis=-1)
-        return self._across(integral)
+        if self.window is None:
+            return self._spline.crossed_integrals(turned, self.direction, self.straight)
+        return self._across(np.add.reduceat(self.integral(turned), self.window[:-1], axis=-1))
 
     def _across(self, integral: Array) -> Array:
         """Return columns of the links by the integrals over each of rate errors, (k, 3, links) rad."""
         direction = self.direction if self.window is None else self.direction[:, self.window]
-        link = np.empty(integral.shape)
-        cross(direction[:, None, :-1], integral.swapaxes(0, 1), out=link.swapaxes(0, 1))
-        return link
+        return crossed(direction[:, :-1], integral)
 
     def derivative(self, values: Array) -> Array:
         """Return the time derivatives (…, n) of a cubic spline through values (…, n).
@@ -269,22 +269,6 @@ class WindowMotion:
     def _waves(self, first: int, stop: int) -> Array:
         share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
         return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)
-
-
-def _aligned(world: Array, direction: Array) -> Array:
-    """Return rotations `world` (3, 3, n) followed by the least turn that gives the field's directions (3, n) one value.
-
-    In a world that drifts against the field by the gyroscope's noise, columns of the iron's form would differ from
-    it by this noise and be scored by it: one of 60 clean logs on tiny motion lost its trust.
-    """
-    there = np.einsum("ijn,jn->in", world, direction)
-    mean = there.mean(axis=1)
-    mean /= max(float(np.linalg.norm(mean)), ALIKE)
-    across = cross(there, np.broadcast_to(mean[:, None], there.shape))
-    size = np.linalg.norm(across, axis=0)
-    angle = np.arctan2(size, mean @ there)
-    turn = exponential_matrices(across * (angle / np.maximum(size, ALIKE)))
-    return np.einsum("ijn,jkn->ikn", turn, world)
 
 
 def along_axes(profiles: Array, axes: Array) -> UnmodelledColumns:

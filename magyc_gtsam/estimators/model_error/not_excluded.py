@@ -24,6 +24,7 @@ from magyc_gtsam.estimators.model_error.components import (
     log_likelihoods,
     principal,
 )
+from magyc_gtsam.estimators.model_error.moments import averaged_moments, propagated
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
 from magyc_gtsam.factors.chain.rotations import Array
@@ -60,13 +61,8 @@ def averaged_of_each(
     share /= total[:, None]
     level = share * left / freedom
     amplitude = np.sqrt((level * variance).sum(axis=1))
-    result = []
-    for i, (value, vector, pull) in enumerate(groups):
-        known = variance[i, :, None] / (1 + variance[i, :, None] * value)
-        means = (known * pull) @ vector.T
-        second = (vector * (level[i] @ known)) @ vector.T + (means.T * share[i]) @ means
-        result.append(Averaged(float(evidence[i]), second, float(amplitude[i])))
-    return result
+    seconds = averaged_moments(groups, variance, share, level)
+    return [Averaged(*each) for each in zip(evidence.tolist(), seconds, amplitude.tolist(), strict=True)]
 
 
 _LOG_RATIO_BOUND = 50.0  # nats, bound of a log-likelihood ratio
@@ -82,22 +78,24 @@ def not_excluded(
     hypothesis counts.
     """
     there = [each.family for each, _ in shown.active]
-    open_ones = []
+    open_ones, largest = [], []
     for each in every:
         # A bound for the family by itself (beside others its gain may differ): no mean over amplitudes exceeds the
         # maximum of the likelihood.
         unlikely = each.family.prior * _bounded_exp(each.gain) < _LEAST_ODDS
-        if not unlikely and each.family not in there and each.family.likely(motion) > 0:
+        if not unlikely and each.family not in there and (most := each.family.likely(motion)) > 0:
             open_ones.append(each)
-    largest = [each.family.likely(motion) for each in open_ones]
+            largest.append(most)
     hypotheses = _likeliest(beside, open_ones, largest, shown)
     components = []
-    for each, move, (odds, known) in zip(open_ones, moves(beside, motion, open_ones), hypotheses, strict=True):
+    covariances = propagated(moves(beside, motion, open_ones), [known.second for _, known in hypotheses])
+    for each, covariance, (odds, known) in zip(open_ones, covariances, hypotheses, strict=True):
         share = odds / (1 + odds)
-        covariance = share * (move @ known.second @ move.T)
         size = each.family.size(known.amplitude, motion)
         words = each.family.sentence(size, None)
-        components.append(Component(each.family.name, words, size, known.evidence, covariance, share=share))
+        components.append(
+            Component(each.family.name, words, size, known.evidence, share * covariance, share=share)
+        )
     return components
 
 

@@ -15,8 +15,9 @@ import numpy as np
 from magyc_gtsam.estimators.model_error import drifts
 from magyc_gtsam.estimators.model_error.by_attitude import flex
 from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, LIKELY, USUAL, ColumnFamily
-from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion, each_axis
+from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array
 
 _LATE = 0.3  # s, lag of an axis for which the ratio of second to first order is exact
@@ -66,18 +67,22 @@ def _play(motion: WindowMotion, width: float = _WIDTH) -> UnmodelledColumns:
     A play of half width w takes about the share w / A of a sweep of amplitude A. The lag is seen; the smaller sweep has
     the form of the iron, and depends on widths that the lag does not tell.
     """
-    behind = (_followed(motion.reading, width) - motion.reading) / width
+    behind = (followed(motion.reading, width) - motion.reading) / width
     less = motion.reading.mean(axis=1, keepdims=True) - motion.reading
     less /= np.maximum(np.sqrt(2 * np.mean(less**2, axis=1, keepdims=True)), ALIKE * motion.strength)
-    return UnmodelledColumns(motion.strength * np.concatenate([each_axis(behind), each_axis(less)]), None)
+    return UnmodelledColumns.axis_by_axis(motion.strength * np.concatenate([behind, less]))
 
 
-def _followed(values: Array, width: float) -> Array:
+def followed(values: Array, width: float) -> Array:
     """Return (k, n) the output of a play operator of half width `width` on values (k, n), started at the first values.
 
     Each step y → clip(y, x − width, x + width) is a clip, and clips compose to clips, so that all steps are computed by
     doubling.
     """
+    if compiled.loops:
+        result = np.empty(values.shape)
+        compiled.loops.follow(values.shape[1], compiled.given(values), np.array([width]), result)
+        return result
     low, high = values - width, values + width
     low[:, 0] = high[:, 0] = values[:, 0]
     reach = 1
@@ -92,7 +97,7 @@ def _followed(values: Array, width: float) -> Array:
 def _late_axis(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns, per s, of a lag of each axis against the others, to first and to second order."""
     first, second = motion.reading_change, motion.reading_curvature
-    return UnmodelledColumns(np.concatenate([each_axis(first), 0.5 * _LATE * each_axis(second)]), None)
+    return UnmodelledColumns.axis_by_axis(np.concatenate([first, 0.5 * _LATE * second]))
 
 
 def _filter(motion: WindowMotion) -> UnmodelledColumns:
@@ -105,9 +110,7 @@ def _steps(motion: WindowMotion) -> UnmodelledColumns:
     swept = motion.reading_change * np.gradient(motion.time)
     phase = 2 * np.pi * motion.reading / motion.step
     size = motion.strength * np.sinc(swept / motion.step)
-    return UnmodelledColumns(
-        np.concatenate([each_axis(size * np.sin(phase)), each_axis(size * np.cos(phase))]), None
-    )
+    return UnmodelledColumns.axis_by_axis(np.concatenate([size * np.sin(phase), size * np.cos(phase)]))
 
 
 def _by_step(motion: WindowMotion) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from magyc_gtsam.estimators.smoother.preparation import Streams, magnetometer_noise
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.sensor_faults.noise import white_noise
@@ -79,12 +80,11 @@ def one_sided(recording: Streams) -> Outliers | None:
     time, field = _stretch(*recording.magnetometer)
     if len(time) < _LEAST:
         return None
-    axes = np.ascontiguousarray(field.T)
-    standing = axes[:, 2:-2] - _median_of_five(axes)
-    found = _mean_of(standing)
+    found = _beside_medians(field)
     if np.abs(found.shift / found.sigma).max() <= _CERTAIN:
         return None
-    standing = standing[:, _BESIDE - 2 : 2 - _BESIDE]
+    axes = np.ascontiguousarray(field.T)
+    standing = axes[:, _BESIDE:-_BESIDE] - _median_of_five(axes)[:, _BESIDE - 2 : 2 - _BESIDE]
     about = sliding_window_view(axes, 2 * _BESIDE + 1, axis=1)
     for _ in range(_ROUNDS):
         along = found.shift @ standing
@@ -96,12 +96,26 @@ def one_sided(recording: Streams) -> Outliers | None:
     return found
 
 
+def _beside_medians(field: Array) -> Outliers:
+    """Return the mean of samples (n, 3) less the median of the five around each."""
+    if compiled.loops:
+        shift, scatter = np.empty(3), np.empty(3)
+        compiled.loops.stand_out(len(field), compiled.given(field), shift, scatter)
+        return _outliers(shift, scatter, len(field) - 4)
+    axes = np.ascontiguousarray(field.T)
+    return _mean_of(axes[:, 2:-2] - _median_of_five(axes))
+
+
 def _mean_of(standing: Array) -> Outliers:
     """Return the mean (3,) of (3, n), and its standard deviation."""
     shift = standing.mean(axis=1)
     about = standing - shift[:, None]
     scatter = np.sqrt(np.einsum("in,in->i", about, about) / about.shape[1])
-    return Outliers(shift, np.maximum(scatter, 1e-12) / np.sqrt(about.shape[1]))
+    return _outliers(shift, scatter, about.shape[1])
+
+
+def _outliers(shift: Array, scatter: Array, count: int) -> Outliers:
+    return Outliers(shift, np.maximum(scatter, 1e-12) / np.sqrt(count))
 
 
 def _median_of_kept(about: Array, kept: np.ndarray) -> Array:
@@ -169,9 +183,8 @@ def too_slow(recording: Streams) -> str:
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
         return ""
-    axes = np.ascontiguousarray(rate.T)
-    second = axes[:, 2:] - 2 * axes[:, 1:-1] + axes[:, :-2]
-    if float(np.vdot(second, second)) / second.shape[1] < _ROUGH * float(axes.var(axis=1).sum()):
+    rough, whole = _roughness(rate)
+    if rough < _ROUGH * whole:
         return ""
     step = float(np.median(np.diff(time)))
     from scipy.signal import welch  # imported here because it takes longer than a calibration
@@ -186,6 +199,17 @@ def too_slow(recording: Streams) -> str:
         f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({lost:.0%} of its turn rate is "
         f"lost between them, at most {_TOO_SLOW:.0%} is tolerated): record faster"
     )
+
+
+def _roughness(rate: Array) -> tuple[float, float]:
+    """Return the mean squared norm of the second differences of rates (n, 3), and their variance over all axes."""
+    if compiled.loops:
+        result = np.empty(2)
+        compiled.loops.roughness(len(rate), compiled.given(rate), result)
+        return float(result[0]), float(result[1])
+    axes = np.ascontiguousarray(rate.T)
+    second = axes[:, 2:] - 2 * axes[:, 1:-1] + axes[:, :-2]
+    return float(np.vdot(second, second)) / second.shape[1], float(axes.var(axis=1).sum())
 
 
 def in_bursts(recording: Streams) -> str:

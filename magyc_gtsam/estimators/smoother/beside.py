@@ -74,22 +74,22 @@ class ColumnProducts(WhitenedFit):
         """Return score and information of each group; groups on the same sensors are eliminated together."""
         result: dict[int, tuple[Array, Array, Array]] = {}
         waiting: dict[object, dict[int, UnmodelledColumns]] = {}
-        windows = len(self.fit.chain.windows)
+        count: dict[object, int] = {}
+        most = _TOGETHER // len(self.fit.chain.windows)
         for i, make in enumerate(groups):
             group = make()
-            alike = waiting.setdefault((group.window is None, group.link is None), {})
-            alike[i] = group
-            if sum(each.size for each in alike.values()) * windows >= _TOGETHER:
-                result |= self._of_alike(alike)
-                alike.clear()
+            sensors = group.window is None, group.link is None, group.axis is None
+            waiting.setdefault(sensors, {})[i] = group
+            count[sensors] = count.get(sensors, 0) + group.size
+            if count[sensors] > most:
+                result |= self._of_alike(waiting.pop(sensors))
+                count[sensors] = 0
         for alike in waiting.values():
             result |= self._of_alike(alike)
         return [ColumnScore(*result[i], make, self) for i, make in enumerate(groups)]
 
     def _of_alike(self, groups: dict[int, UnmodelledColumns]) -> dict[int, tuple[Array, Array, Array]]:
         """Return {key: (G, s, explained)} of groups that are all on the same sensors."""
-        if not groups:
-            return {}
         columns, sizes = joined(list(groups.values())), [group.size for group in groups.values()]
         explained, score, normals = (self._compiled if compiled.loops else self._in_numpy)(columns, sizes)
         result, first = {}, 0
@@ -102,7 +102,8 @@ class ColumnProducts(WhitenedFit):
     def _compiled(self, columns: UnmodelledColumns, sizes: Sequence[int]) -> tuple[Array, Array, list[Array]]:
         """Return `explained` (free, K), s (K,) and the matrices G of groups with these numbers of columns."""
         count, ends = columns.size, list(accumulate(size * size for size in sizes))
-        explained, score, normal = np.empty((len(self._root), count)), np.empty(count), np.empty(ends[-1])
+        of_window, of_link = self._onto
+        products, normal = np.empty((len(of_window), count)), np.empty(ends[-1])
         scale, link_scale, *jacobians = self._whitening
         compiled.loops.score(
             len(self.fit.chain.windows),
@@ -111,26 +112,22 @@ class ColumnProducts(WhitenedFit):
             compiled.given(columns.link),
             link_scale,
             *jacobians,
-            *self._rows,
-            self._root,
-            self.left.explained,
+            compiled.given(columns.axis),
+            of_window,
+            of_link,
             np.array([ROUNDING]),
             np.array(sizes, dtype=np.int64),
-            explained,
-            score,
+            products,
             normal,
         )
-        return explained, score, [normal[e - k * k : e].reshape(k, k) for e, k in zip(ends, sizes, strict=True)]
+        normals = [normal[e - k * k : e].reshape(k, k) for e, k in zip(ends, sizes, strict=True)]
+        return products[:-1], products[-1], normals
 
     def _in_numpy(self, columns: UnmodelledColumns, sizes: Sequence[int]) -> tuple[Array, Array, list[Array]]:
         window, link, absorbed = self.whiten(columns)
-        half, of_window, linked, of_link = self._rows
-        pull = -(half @ absorbed.T)
-        if window is not None:
-            pull += of_window @ window.T
-        if link is not None:
-            pull[linked] += of_link @ link.T
-        explained = self._root @ pull[:-1]
+        of_each = zip(self._onto, (window, link), strict=True)
+        products = sum((rows @ part.T for rows, part in of_each if part is not None), np.zeros(()))
+        explained = products[:-1]
         normals, first = [], 0
         for size in sizes:
             rows = slice(first, first + size)
@@ -138,24 +135,24 @@ class ColumnProducts(WhitenedFit):
             normal = sum(part[rows] @ part[rows].T for part in (window, link) if part is not None) - taken
             normal.flat[:: size + 1] += ROUNDING * (normal.diagonal() + taken.diagonal())
             normals.append(normal - kept.T @ kept)
-        return explained, self.left.explained @ explained - pull[-1], normals
+        return explained, products[-1], normals
 
     @cached_property
-    def _rows(self) -> tuple[Array, Array, np.ndarray, Array]:
-        """The parameters and, below them, the residual: absorbed, of the windows, and of the links with their rows."""
+    def _onto(self) -> tuple[Array, Array]:
+        """Rows (free + 1, 3n) of windows and (free + 1, 3n − 3) of links, whose products with whitened columns are
+        `explained` and, the last one, the score.
+
+        They are the components of the parameters and the residual, less what the directions explain of each.
+        """
         own, left = self.estimated, self.left
-        count = len(own.window)
-        return (
-            np.vstack([own.half, left.absorbed]),
-            np.vstack([own.window.reshape(count, -1), left.window]),
-            np.append(own.linked, count),
-            np.vstack([own.link, left.link]),
-        )
-
-    @cached_property
-    def _root(self) -> Array:
-        """(free, p) the matrix that takes products with the parameters to `explained`."""
-        return self.estimated.explained(np.eye(len(self.estimated.free)))
+        root = own.explained(np.eye(len(own.free)))
+        score = left.explained @ root
+        along = np.vstack([root, score])
+        half, window = along @ own.half, along @ own.window.reshape(len(own.free), -1)
+        link = along[:, own.linked] @ own.link
+        for rows, rest in ((half, left.absorbed), (window, left.window), (link, left.link)):
+            rows[-1] -= rest
+        return self.beside_directions(half, window, link)
 
     def move(self, new: ColumnScore) -> Array:
         """Return S (P, k) of a group of columns."""

@@ -11,10 +11,19 @@ from magyc_gtsam.factors.chain.rotations import Array
 
 
 class UnmodelledColumns(NamedTuple):
-    """Columns per unit amplitude: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None stands for zeros."""
+    """Columns per unit amplitude: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None stands for zeros.
+
+    With `axis` (k,), the columns of the windows act on one axis of the sensor each, and are (k, n).
+    """
 
     window: Array | None
     link: Array | None
+    axis: np.ndarray | None = None
+
+    @classmethod
+    def axis_by_axis(cls, window: Array) -> UnmodelledColumns:
+        """Return columns of the windows (3q, n) T that act on x, y, z, x, …"""
+        return cls(window, None, np.resize(np.arange(3), len(window)))
 
     @property
     def size(self) -> int:
@@ -22,23 +31,32 @@ class UnmodelledColumns(NamedTuple):
         one = self.window if self.window is not None else self.link
         return 0 if one is None else len(one)
 
+    @property
+    def on_all_axes(self) -> UnmodelledColumns:
+        """The same columns, those of the windows (k, 3, n)."""
+        if self.window is None or self.axis is None:
+            return self
+        whole = np.zeros((len(self.window), 3, self.window.shape[1]))
+        whole[np.arange(len(whole)), self.axis] = self.window
+        return UnmodelledColumns(whole, self.link)
+
     def less(self, other: UnmodelledColumns) -> UnmodelledColumns:
-        """Return the differences to the columns of another group on the same sensors."""
+        """Return the differences to the columns of another group on the same sensors and axes."""
         window = None if self.window is None or other.window is None else self.window - other.window
         link = None if self.link is None or other.link is None else self.link - other.link
-        return UnmodelledColumns(window, link)
+        return UnmodelledColumns(window, link, self.axis)
 
     def only(self, kept: np.ndarray) -> UnmodelledColumns:
         """Return the columns with those that are not `kept` ((k,) bool) set to zero."""
-        share = kept[:, None, None]
-        return UnmodelledColumns(
-            None if self.window is None else share * self.window, None if self.link is None else share * self.link
-        )
+        window, link = (None if part is None else (kept * part.T).T for part in self[:2])
+        return UnmodelledColumns(window, link, self.axis)
 
     def mixed(self, matrix: Array) -> UnmodelledColumns:
         """Return the linear combinations of the columns given by the rows of `matrix` (k, k)."""
-        parts = [None if part is None else np.tensordot(matrix, part, 1) for part in self]
-        return UnmodelledColumns(*parts)
+        window, link, _ = self.on_all_axes
+        return UnmodelledColumns(
+            *(None if part is None else np.tensordot(matrix, part, 1) for part in (window, link))
+        )
 
 
 class EstimatedTerms(NamedTuple):
@@ -58,6 +76,6 @@ class EstimatedTerms(NamedTuple):
 
 
 def joined(groups: Sequence[UnmodelledColumns]) -> UnmodelledColumns:
-    """Concatenate the columns of groups that act on the same sensors."""
+    """Concatenate the columns of groups that act on the same sensors, all with `axis` or none."""
     parts = ([part for part in each if part is not None] for each in zip(*groups, strict=True))
     return UnmodelledColumns(*(np.concatenate(part) if part else None for part in parts))

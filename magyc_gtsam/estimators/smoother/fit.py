@@ -14,6 +14,7 @@ from magyc_gtsam.estimators.smoother.whitened_fit import Minimum
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import solved
 from magyc_gtsam.factors.errors import MagycError
 
 MAX_ITERATIONS = 40
@@ -112,14 +113,16 @@ def inverse_information(information: Array, free: np.ndarray, least: float = 1e-
         free: (p,) bool.
         least: share of each parameter's information below which a direction counts as having that share.
     """
-    result = np.zeros(information.shape)
-    kept = np.ix_(free, free)
-    information = information[kept]
+    if not free.all():
+        result, kept = np.zeros(information.shape), np.ix_(free, free)
+        own = information[kept]
+        result[kept] = inverse_information(own, np.ones(len(own), dtype=bool), least)
+        return result
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     value, vector = np.linalg.eigh(information * scale * scale[:, None])
     value = np.maximum(value, least)
-    result[kept] = (vector / value) @ vector.T * scale * scale[:, None]
-    return result
+    covariance: Array = (vector / value) @ vector.T * scale * scale[:, None]
+    return covariance
 
 
 def colour_of(residual: Array) -> float:
@@ -198,7 +201,7 @@ def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Arr
     scale = np.divide(1.0, np.sqrt(np.maximum(known, 0.0)), out=np.zeros(len(known)), where=known > 0)
     scaled = information * scale * scale[:, None]
     scaled.flat[:: len(scale) + 1] += damping + 1e-14
-    short = -scale * np.linalg.solve(scaled, scale * gradient)
+    short = -scale * solved(scaled, scale * gradient)
     length = float(short @ information @ short)
     if every:
         return short, length

@@ -89,16 +89,17 @@ def judge(
     if named is not None:
         misalignment = named if misalignment is None else named._replace(gyroscope=misalignment.gyroscope)
     assessor = Assessor(soft_iron, unit, recording, parameters[6:9], misalignment)
-    observability = assessor.of(of_sensors)
-    whole = observability
-    if unexplained.covariance.any():
+    sensors_alone = not unexplained.covariance.any()
+    whole = observability = assessor.of(of_sensors, heading=sensors_alone)
+    if not sensors_alone:
         whole = assessor.of(reported, _of_rotation(unexplained.covariance))
     probable = whole
     if (
         whole.weak and unexplained.possible
     ):  # merely possible effects widen the sigmas without changing the verdict
         of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
-        probable = assessor.of(scale.covariance(of_probable[:12, :12]), _of_rotation(unexplained.probable))
+        rotation = _of_rotation(unexplained.probable)
+        probable = assessor.of(scale.covariance(of_probable[:12, :12]), rotation, heading=False)
     reasons = (
         flickers(samples),
         too_slow(samples),

@@ -15,6 +15,7 @@ from magyc_gtsam.estimators.smoother import starts
 from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import misfit, weigh
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.chain.facts import strength_of
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 
@@ -42,7 +43,7 @@ def positive(fit: Fit) -> bool:
 
 def strength(fit: Fit) -> float:
     """Return the field strength, T."""
-    return float(np.cbrt(abs(np.linalg.det(unvech(fit.state.parameters[:6])))))
+    return strength_of(unvech(fit.state.parameters[:6]))
 
 
 def apart(fit: Fit, other: Fit) -> bool:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, SETTLED, Fit, descend
+from magyc_gtsam.factors.chain.banded import forward_solved
 from magyc_gtsam.factors.chain.chain_values import Residuals, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import solved
 
 _ROUNDS = 20  # most updates of robust weights and noise levels
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
@@ -131,8 +132,9 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     if not kept.any():
         return chain.noise, 0.0, freedom
     step = np.zeros(2)
-    step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient[kept])
-    better = np.clip(level * np.exp(0.5 * np.clip(step, -2.0, 2.0)), low, high)
+    known = information if kept.all() else information[np.ix_(kept, kept)]
+    step[kept] = solved(known, gradient[kept])
+    better = np.minimum(np.maximum(level * np.exp(np.minimum(np.maximum(0.5 * step, -1.0), 1.0)), low), high)
     left = 2 * np.log(better / level)[kept] ** 2 * np.sqrt(0.5 * information.diagonal()[kept])
     return SensorNoise(*better.tolist()), float(left.max()), freedom
 
@@ -167,6 +169,6 @@ def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
     reduced = fit.reduced
     on_direction = np.einsum("ian,in->an", reduced.on_direction, whitened)
     on_parameters = reduced.on_parameters.reshape(len(covariance), -1) @ whitened.ravel()
-    half, _ = dtbtrs(reduced.factor, on_direction.T.ravel(), uplo="L")
+    half = forward_solved(reduced.band_factor, on_direction[None])[0]
     left = on_parameters - half @ reduced.half[:, :-1]
     return float(half @ half + left @ covariance @ left)

@@ -188,7 +188,7 @@ class SmootherOptions:
     @property
     def configuration(self) -> Mapping[str, Any]:
         """The chosen options as JSON types, sufficient to repeat the run."""
-        chosen = {each.name: getattr(self, each.name) for each in fields(SmootherOptions)}
+        chosen = {each.name: getattr(self, each.name) for each in _FIELDS}
         result = {name: value for name, value in chosen.items() if value is not None or name in ("delay", "turn")}
         for name in ("clock_drift", "gyroscope_scale", "hard_iron_walk", "soft_iron_walk", "declination"):
             if not result[name]:
@@ -213,3 +213,6 @@ def _number(name: str, value: Any, low: float, high: float, unit: str) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
         least = "at least 0" if -1e-9 < low < 0 else f"above {low:g}"  # such a limit lets 0 itself through
         raise MagycError(f"{name} must be {least} and below {high:g} {unit}".rstrip() + f", got {value!r}")
+
+
+_FIELDS = fields(SmootherOptions)

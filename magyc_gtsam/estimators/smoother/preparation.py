@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from math import log
 from typing import Protocol
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
@@ -62,8 +64,8 @@ def suitable_turn(field: Array) -> float:
     turn = 1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30))
     # Discrete values: two segmentations of a log differ by up to a third of a sigma, and a few more samples must not
     # change the segmentation.
-    steps = np.round(np.log(max(turn, 0.1) / 0.15) / np.log(1.2))
-    return float(np.clip(0.15 * 1.2**steps, 0.15, 0.4))
+    steps = round(log(max(turn, 0.1) / 0.15) / log(1.2))
+    return min(max(0.15 * 1.2**steps, 0.15), 0.4)
 
 
 class Streams(Protocol):
@@ -89,11 +91,20 @@ def magnetometer_noise(recording: Streams) -> float:
 def _noise(samples: Samples, least: float) -> float:
     value = samples.value
     stride = len(value) // _TRIPLETS | 1  # odd: with two rows per interpolated sample the triplets hit both
-    first, middle, last = (np.ascontiguousarray(value[k : len(value) - 2 + k : stride].T) for k in range(3))
-    second = first - 2 * middle + last
-    square = np.einsum("in,in->n", second, second) / 18
+    square, size = _second_differences(value, stride)
+    square /= 18
     # Upper quartile of sqrt(χ²₃/3), because half of the differences are zero with drivers that interpolate; if more,
     # the median of those that are not zero.
-    real = np.count_nonzero(square > _ROUNDING**2 * np.square(middle).mean())
+    real = np.count_nonzero(square > _ROUNDING**2 * size)
     upper = max(3 * (len(square) - 1) // 4, len(square) - 1 - real // 2)
     return max(float(np.sqrt(np.partition(square, upper)[upper])) / 1.170, least)
+
+
+def _second_differences(value: Array, stride: int) -> tuple[Array, float]:
+    """Return the squares of every stride-th second difference of (n, 3), and the mean square in their middles."""
+    if compiled.loops:
+        square = np.empty(-(-(len(value) - 2) // stride))
+        return square, compiled.loops.second_differences(stride, compiled.given(value), square)
+    first, middle, last = (np.ascontiguousarray(value[k : len(value) - 2 + k : stride].T) for k in range(3))
+    second = first - 2 * middle + last
+    return np.einsum("in,in->n", second, second), float(np.square(middle).mean())

@@ -6,7 +6,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.model_error import ModelError
-from magyc_gtsam.estimators.model_error.drifts import moving
+from magyc_gtsam.estimators.model_error.rest import moving
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.noise_levels import scatter
@@ -44,6 +44,8 @@ def disturbed_end(fit: Fit, recording: Recording) -> str:
     The iron may have changed for good there: a ramp of 8 µT over the last tenth was rejected as a disturbance, and the
     calibration of what was before trusted, 9° off at the end.
     """
+    if fit.weights.window.min() >= _LEAST_TRUSTED:
+        return ""
     windows = fit.chain.windows
     kept = moving(windows.time, windows.rotation)
     time, length = windows.time[kept], np.minimum(np.gradient(windows.time), _LONG)[kept]

@@ -38,7 +38,7 @@ from magyc_gtsam.estimators.smoother.search import Progress, fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.estimators.smoother.vertical import upright_facts
 from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS
-from magyc_gtsam.factors.chain.facts import quadratic
+from magyc_gtsam.factors.chain.facts import quadratic, strength_of
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
@@ -193,7 +193,7 @@ def calibration_of(
             return assess(given, judgement.soft_iron, unit, recording, parameters[6:9]).observable
 
         reasons += remedies(fit, colour * fit.widening, enough, options, recording)
-    elif wrong := doubt_strength(IronScale.of(unvech(parameters[:6])).strength, strength[0]):
+    elif wrong := doubt_strength(strength_of(unvech(parameters[:6])), strength[0]):
         reasons.insert(0, wrong)
     reasons += judgement.reasons
     upright = upright_facts(fit)

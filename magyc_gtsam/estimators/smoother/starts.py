@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from magyc_gtsam.estimators.smoother.linear_start import TRACELESS, Pairs
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.median import median
-from magyc_gtsam.factors.chain.rotations import Array, cross
-from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech, vech
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import solved
+from magyc_gtsam.factors.chain.vech import unvech, vech
 
 _LAG = 3.0  # s between the windows compared by the linear start
 _PAIRS = 200  # pairs of windows that suffice for a start
@@ -17,7 +19,6 @@ _PASSES = 3
 # from the minimum; 30 to 100 from a spherical start, and up to 15 with a deviation of 0.2.
 _SOFT_IRON = 0.1
 _MOST_SOFT_IRON = 0.5  # norm above which the estimate is not a soft iron
-_TRACELESS = np.concatenate([SYMMETRIC_UNITS[[1, 2, 4]], SYMMETRIC_UNITS[[0, 3]] - SYMMETRIC_UNITS[[3, 5]]])
 
 
 def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) -> Array:
@@ -29,7 +30,7 @@ def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) ->
 
 def from_prior(windows: FieldWindows, soft_iron: Array, hard_iron: Array, bias: Array) -> Array:
     """Return θ of an earlier calibration, vech(soft_iron) (6,), with the median strength of the field."""
-    straight = np.linalg.solve(unvech(soft_iron), windows.field - hard_iron[:, None])
+    straight = np.linalg.inv(unvech(soft_iron)) @ (windows.field - hard_iron[:, None])
     strength = median(np.sqrt(np.einsum("in,in->n", straight, straight)))
     return parameters(unvech(soft_iron) * strength, hard_iron, bias, windows.delay)
 
@@ -62,47 +63,31 @@ def from_gyroscope(windows: FieldWindows) -> Array:
     if not weight.any():
         weight[:] = 1.0
 
-    constant = turned_back[:, last] - turned_back[:, first]
-    before, after = windows.rotation[:, :, first], windows.rotation[:, :, last]
-    every = np.empty((11, *constant.shape))  # columns of hard iron, bias and D
-    np.subtract(after, before, out=every[:3])
+    parts = (windows.rotation[:, :, first], windows.rotation[:, :, last], lever, turned_back[:, first])
+    fields = (windows.field[:, first], windows.field[:, last])
+    pairs = Pairs(*map(np.ascontiguousarray, (*parts, *fields, turned_back[:, last] - turned_back[:, first])))
     hard_iron, bias, scale = windows.field.mean(axis=1), np.zeros(3), 0.0
     for left in reversed(range(_PASSES)):
-        still = turned_back[:, first] - np.einsum("ijn,i->jn", before, hard_iron)
-        every[3:6] = cross(still[:, None], lever).swapaxes(0, 1)
+        columns, normal, right = pairs.equations(hard_iron, weight, stretched=not left)
+        normal.flat[:: len(normal) + 1] *= 1 + 1e-9
         if not left:
-            away = windows.field - hard_iron[:, None]
-            np.subtract(_stretched(after, away[:, last]), _stretched(before, away[:, first]), out=every[6:])
-        design = every[:6] if left else every
-        flat = design.reshape(len(design), -1)
-        weighted = (design * weight).reshape(len(design), -1)
-        normal = weighted @ flat.T
-        normal.flat[:: len(design) + 1] *= 1 + 1e-9
-        normal[6:, 6:] += scale / 3 / _SOFT_IRON**2 * np.eye(len(design) - 6)
-        solution = _solved(normal, weighted @ constant.ravel())
+            normal[6:, 6:] += scale / 3 / _SOFT_IRON**2 * np.eye(5)
+        solution = _solved(normal, right)
         before_it, hard_iron, bias, stretch = hard_iron, solution[:3], solution[3:6], solution[6:]
-        misfit = constant - (solution @ flat).reshape(3, -1)
-        square = np.einsum("in,in->n", misfit, misfit)
+        square = pairs.squares(columns, solution)
         counts = weight > 0
         scale = median(square if counts.all() else square[counts]) or 1.0
         weight = counts / (1 + square / (2 * scale))  # Cauchy
     if not np.linalg.norm(stretch) < _MOST_SOFT_IRON:
         return spherical(windows, hard_iron, bias)
-    soft_iron = np.linalg.inv(np.eye(3) - (stretch @ _TRACELESS.reshape(5, 9)).reshape(3, 3))
+    soft_iron = np.linalg.inv(np.eye(3) - (stretch @ TRACELESS.reshape(5, 9)).reshape(3, 3))
     hard_iron = before_it + soft_iron @ (hard_iron - before_it)
     return from_prior(windows, vech(soft_iron), hard_iron, bias)
-
-
-def _stretched(rotation: Array, field: Array) -> Array:
-    """Return (5, 3, n) Mᵀ E_j m of a basis of D, for M (3, 3, n) and m (3, n)."""
-    stretched = (_TRACELESS.reshape(15, 3) @ field).reshape(5, 3, -1)
-    return np.asarray(np.einsum("ijn,kin->kjn", rotation, stretched))
 
 
 def _solved(normal: Array, right: Array) -> Array:
     """Return the solution of normal equations, that of least norm if they are singular."""
     try:
-        solution = np.linalg.solve(normal, right)
+        return solved(normal, right)
     except np.linalg.LinAlgError:
-        solution = np.linalg.lstsq(normal, right, rcond=None)[0]
-    return solution.astype(np.float64, copy=False)
+        return np.linalg.lstsq(normal, right, rcond=None)[0].astype(np.float64, copy=False)

@@ -11,7 +11,7 @@ from scipy.linalg.lapack import dtrtri
 
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.factors.chain import compiled
-from magyc_gtsam.factors.chain.banded import BandFactor, forward_solved
+from magyc_gtsam.factors.chain.banded import BandFactor, backward_solved, forward_solved
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, Weights
 from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.facts import quadratic
@@ -144,7 +144,7 @@ class WhitenedFit:
     @cached_property
     def factor(self) -> BandFactor:
         """L, the factor of the directions' matrix."""
-        return BandFactor.of(self.fit.reduced.factor)
+        return self.fit.reduced.band_factor
 
     @cached_property
     def left(self) -> WhitenedResidual:
@@ -198,7 +198,7 @@ class WhitenedFit:
         pull += 0.0 if self._past is None else self._past.gradient[:size]
         if terms is None:
             return Estimated(fit.free, reduced.on_parameters, _BIAS, on_bias, half, reduced.information, pull)
-        count, (own_window, own_link) = terms.columns.size, terms.columns
+        count, (own_window, own_link) = terms.columns.size, terms.columns[:2]
         window = np.zeros((count, 3, n)) if own_window is None else own_window * self._residual_scale
         link = np.zeros((count, 3, n - 1)) if own_link is None else own_link * self.link_scale
         absorbed = self.absorbed(window, link)
@@ -218,13 +218,14 @@ class WhitenedFit:
 
     def whiten(self, columns: UnmodelledColumns) -> tuple[Array | None, Array | None, Array]:
         """Return columns whitened: of the windows (k, 3n) and of the links (k, 3n − 3), if any, and Zᵀ (k, 2n)."""
+        columns = columns.on_all_axes
         if compiled.loops is None:
             window = None if columns.window is None else columns.window * self.window_scale
             link = None if columns.link is None else columns.link * self.link_scale
             flat = (None if part is None else part.reshape(len(part), -1) for part in (window, link))
             return *flat, self.absorbed(window, link)  # type: ignore[return-value]
         count, n = columns.size, len(self.fit.chain.windows)
-        window, link = (None if part is None else np.empty((count, part[0].size)) for part in columns)
+        window, link = (None if part is None else np.empty((count, part[0].size)) for part in columns[:2])
         absorbed = np.empty((count, 2 * n))
         scale, link_scale, *jacobians = self._whitening
         compiled.loops.whiten(
@@ -246,6 +247,22 @@ class WhitenedFit:
         reduced, factor = self.fit.reduced, self.factor
         parts = (self.window_scale, self.link_scale, reduced.on_direction, reduced.before, reduced.after)
         return *map(np.ascontiguousarray, parts), factor.columns, factor.inverse
+
+    def beside_directions(self, half: Array, window: Array, link: Array) -> tuple[Array, Array]:
+        """Return whitened columns (k, 3n) of windows and (k, 3n − 3) of links less what the directions explain of them.
+
+        `half` is their Zᵀ (k, 2n); the columns are overwritten.
+        """
+        reduced, n = self.fit.reduced, len(self.fit.chain.windows)
+        if compiled.loops:
+            _, _, *jacobians, columns, inverse = self._whitening
+            compiled.loops.beside_directions(n, columns, inverse, *jacobians, half, window, link)
+            return window, link
+        solved = backward_solved(self.factor, half)
+        window -= np.einsum("ian,kan->kin", reduced.on_direction, solved).reshape(window.shape)
+        link -= np.einsum("ian,kan->kin", reduced.before, solved[:, :, :-1]).reshape(link.shape)
+        link -= np.einsum("ian,kan->kin", reduced.after, solved[:, :, 1:]).reshape(link.shape)
+        return window, link
 
     def absorbed(self, window: Array | None, link: Array | None) -> Array:
         """Return Zᵀ (k, 2n) of whitened columns (k, 3, n) of windows and (k, 3, n − 1) of links."""
