@@ -17,6 +17,7 @@ from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.errors import MagycError
 
 Setting = Mapping[str, float]
+_INSTANT = 1e-9  # s, length of a window of one sample
 
 
 def per_axis(profile: Array) -> Array:
@@ -86,13 +87,21 @@ def _remembered(decay: Array, driven: Array) -> Array:
 
 def step(s: Signals, setting: Setting) -> Array:
     """Return the columns of a step at `time`, which ends at `until` where the setting has one."""
-    return per_axis(during(s.need("time"), setting)[None])
+    return per_axis(during(s, setting)[None])
 
 
-def during(time: Array, setting: Setting) -> Array:
-    """Return 1.0 after `time` up to `until`, as far as the setting has them, and 0.0 elsewhere; of shape (n,)."""
-    on = (time > setting.get("time", -np.inf)) & (time <= setting.get("until", np.inf))
-    return np.asarray(on, dtype=float)
+def during(s: Signals, setting: Setting) -> Array:
+    """Return the share (n,) of each row that is after `time` and before `until`, as far as the setting has them."""
+    return _after(s, setting.get("time", -np.inf)) - _after(s, setting.get("until", np.inf))
+
+
+def _after(s: Signals, at: float) -> Array:
+    """Return 1 for rows after a time, 0 for those before, and the share after it of a window that contains it."""
+    since = s.need("time") - at
+    if s.span is None:
+        return np.asarray(since > 0, dtype=float)
+    share: Array = np.clip(since / np.maximum(s.span, _INSTANT) + 0.5, 0.0, 1.0)
+    return share
 
 
 def drift(s: Signals, setting: Setting) -> Array:
@@ -129,7 +138,7 @@ def load_soft_iron(s: Signals, setting: Setting) -> Array:
 
 def soft_iron_step(s: Signals, setting: Setting) -> Array:
     """Return the columns of a symmetric soft iron (six elements) that appears at `time`."""
-    return _symmetric(s) * (s.need("time") > setting["time"])
+    return _symmetric(s) * during(s, setting)
 
 
 def _symmetric(s: Signals) -> Array:

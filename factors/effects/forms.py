@@ -132,7 +132,7 @@ def _local_anomaly(s: Signals, setting: Setting) -> Array:
     """
     axes = s.world_axes
     if "width" not in setting:
-        return axes * changes.during(s.need("time"), setting)
+        return axes * changes.during(s, setting)
     since = (s.need("time") - setting["time"]) / setting["width"]
     bump = np.exp(-0.5 * since**2)
     if setting.get("passing"):

@@ -24,6 +24,7 @@ class Signals:
         time: (n,) s, as in the recording.
         field: (3, n) T, soft iron times the true field: the reading less hard iron and noise.
         field_rate: (3, n) T/s, its time derivative.
+        span: (n,) s, the length of each window, where the rows are means over windows.
         within: (3, n, k) T, the field at k instants of each window, where the rows are means over windows.
         hard_iron: (3,) T.
         rate: (3, n) rad/s, true angular rate.
@@ -36,6 +37,7 @@ class Signals:
     time: Array
     field: Array | None = None
     field_rate: Array | None = None
+    span: Array | None = None
     within: Array | None = None
     hard_iron: Array | None = None
     rate: Array | None = None

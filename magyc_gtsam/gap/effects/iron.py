@@ -18,6 +18,7 @@ _FEWER = 40  # of other steps: with more values, or of more samples
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s, lags of the sensor's temperature behind the thermometer
 _CIRCUIT_LAGS = (1.0, 3.0)  # s, of a field behind the current: housings, a filtered current
 _ENDS = 16  # times at which a magnetic object may be attached or removed
+_IN_WINDOW = 6  # times inside a window
 _MARGIN = 4  # windows at both ends where a step cannot be distinguished from noise
 
 
@@ -88,13 +89,14 @@ def _jumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def step_nearby(twin: Twin, setting: Setting, count: int = _FEWER) -> list[dict[str, float]]:
-    """Return steps at every time near the found one, of `count`."""
+    """Return steps at every time near the found one, of `count`, and inside the windows beside it."""
     edges = _edges(twin, twin.n)
     width = 1.1 * (edges[-1] - edges[0]) / min(count, len(edges))
+    inside = np.linspace(-1.0, 1.0, 2 * _IN_WINDOW + 1) * float(np.median(np.diff(edges)))
     result = [dict(setting)]
     for end in ("time", "until"):
         if end in setting:
-            near = edges[np.abs(edges - setting[end]) <= width]
+            near = [*edges[np.abs(edges - setting[end]) <= width], *(setting[end] + inside)]
             result += [dict(setting) | {end: float(t)} for t in near]
     return [s for s in result if s.get("time", -np.inf) < s.get("until", np.inf)]
 

@@ -67,6 +67,7 @@ STEP = EffectTerm(
     ),
     unit="%",
     matters=6e-3,
+    prior=0.05,  # a jump of 20 % and more is that of a field of the place
     rivals=("hard-iron-step",),
     parameters=ENTRIES,
     say=_say_step,

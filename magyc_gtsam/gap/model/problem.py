@@ -137,6 +137,7 @@ class Problem:
         at = self.magnetometer
         return Signals(
             self.mean(at.time),
+            span=self._span,
             acceleration=None if at.acceleration is None else self.mean(at.acceleration),
             channels={kind: self.mean(value) for kind, value in at.channels.items()},
         )
@@ -147,11 +148,28 @@ class Problem:
 
         A window rotates by up to 0.2 rad, in which a loop of hysteresis reverses and a reading passes a knee.
         """
-        time, starts = self.samples.magnetometer_time, self.samples.starts
-        ends = np.append(starts[1:], len(time)) - 1
-        length = time[ends] - time[starts]
+        length = self._length
         share = (np.arange(_INSTANTS) + 0.5) / _INSTANTS - 0.5 if length.any() else np.zeros(1)
         return share[:, None] * length
+
+    @property
+    def _ends(self) -> np.ndarray:
+        return np.append(self.samples.starts[1:], len(self.samples.magnetometer_time)) - 1
+
+    @property
+    def _length(self) -> Array:
+        """The time (n,) from the first sample of each window to its last one, s."""
+        result: Array = (
+            self.samples.magnetometer_time[self._ends] - self.samples.magnetometer_time[self.samples.starts]
+        )
+        return result
+
+    @property
+    def _span(self) -> Array:
+        """The length (n,) of each window, s: that with one interval between samples more."""
+        intervals = self._ends - self.samples.starts
+        result: Array = self._length * (intervals + 1) / np.maximum(intervals, 1)
+        return result
 
     @cached_property
     def fastest(self) -> float:
