@@ -6,6 +6,7 @@ are tested there. `NAMES` lists all effects in the catalogue's order.
 
 from __future__ import annotations
 
+from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.dated import MOMENTS
 from magyc_gtsam.gap.effects import alignment, gyroscope, iron, response, soft_iron, world
 from magyc_gtsam.gap.effects.term import EffectTerm
@@ -67,9 +68,14 @@ PHYSICS: dict[str, str] = {name: term.physics for name, term in TERMS.items()} |
 }
 
 
+def sudden(name: str, setting: Setting) -> bool:
+    """Return whether an effect changes at once, so that its time is determined to a fraction of a window."""
+    return name in MOMENTS and "width" not in setting
+
+
 def nested(one: str, other: str) -> bool:
     """Return whether one of two effects of the catalogue is the general case of the other."""
     return one in TERMS and other in TERMS and (one in TERMS[other].contains or other in TERMS[one].contains)
 
 
-__all__ = ["LABELS", "MOMENTS", "NAMES", "PHYSICS", "TERMS", "EffectTerm", "nested"]
+__all__ = ["LABELS", "MOMENTS", "NAMES", "PHYSICS", "TERMS", "EffectTerm", "nested", "sudden"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from magyc_gtsam.gap.effects import MOMENTS, TERMS
+from magyc_gtsam.gap.effects import TERMS, sudden
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import DRIFT, Candidates, at_settings
 from magyc_gtsam.gap.evidence.neighbours import neighbours
@@ -59,6 +59,6 @@ def finer(option: Weighed, twin: Twin, beside: Beside, power: float) -> Weighed:
             break
         closer = Candidates.of_parts(twin, [at_settings(twin, option.name, near)])
         option, before = option.with_cell(weigh(closer, beside, power)[option.name]), option
-        if option.setting == before.setting or option.name not in MOMENTS:
+        if option.setting == before.setting or not sudden(option.name, option.setting):
             break
     return option

@@ -245,7 +245,7 @@ class Tree:
         return self._settled(best)
 
     def _settled(self, node: Node) -> Node:
-        """Return a set with the time of its last effect that is most probable at its minimum, if the effect has one.
+        """Return a set with the time of its last effect that is most probable at its minimum, if the effect is sudden.
 
         It was found in the linear model of the set without the effect, far from that minimum if the effect is large.
         """
