@@ -126,7 +126,7 @@ GRADIENT = EffectTerm(
 )
 ANOMALY = EffectTerm(
     name="local-anomaly",
-    label="magnetic object passed by",
+    label="magnetic object in the surroundings",
     physics=(
         "Something magnetic that is fixed in the world is passed, or the vehicle stays beside it: a chain, a ship's "
         "side, reinforced concrete. Its field adds to that of the Earth, and its direction turns as it is passed. If "
