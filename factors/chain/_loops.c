@@ -280,7 +280,8 @@ static PyMethodDef methods[] = {
     METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
     METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
     METHOD(angles), METHOD(second_differences), METHOD(stand_out), METHOD(alternate), METHOD(calm_blocks),
-    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals), {NULL, NULL, 0, NULL},
+    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals),
+    METHOD(log_likelihoods), METHOD(look), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

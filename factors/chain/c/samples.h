@@ -106,6 +106,82 @@ static double alternate(size n, Arrays *a)
 }
 TO_PYTHON(alternate, 4, 2)
 
+#define AXES 12 /* samples in lanes: three axes of four samples */
+
+/* Of the axes (3,) of m entries, three of each sample: the largest and least. */
+WIDE_VECTORS static void extremes(size m, in_t x, double top[3], double low[3])
+{
+    double most[AXES], least[AXES];
+    for (int i = 0; i < AXES; i++)
+        most[i] = least[i] = x[i % 3];
+    for (size k = 0; k + AXES <= m; k += AXES)
+        for (int i = 0; i < AXES; i++) {
+            most[i] = x[k + i] > most[i] ? x[k + i] : most[i];
+            least[i] = x[k + i] < least[i] ? x[k + i] : least[i];
+        }
+    for (size k = m - m % AXES; k < m; k++) {
+        most[k % 3] = larger(most[k % 3], x[k]);
+        least[k % 3] = lesser(least[k % 3], x[k]);
+    }
+    for (int i = 0; i < 3; i++) {
+        top[i] = larger(larger(most[i], most[i + 3]), larger(most[i + 6], most[i + 9]));
+        low[i] = lesser(lesser(least[i], least[i + 3]), lesser(least[i + 6], least[i + 9]));
+    }
+}
+
+/* How many entries are equal to a value of their axis. */
+WIDE_VECTORS static void equal_to(size m, in_t x, const double value[3], int64_t count[3])
+{
+    double of[AXES];
+    int64_t equal[AXES] = {0};
+    for (int i = 0; i < AXES; i++)
+        of[i] = value[i % 3];
+    for (size k = 0; k + AXES <= m; k += AXES)
+        for (int i = 0; i < AXES; i++)
+            equal[i] += x[k + i] == of[i];
+    for (size k = m - m % AXES; k < m; k++)
+        equal[k % 3] += x[k] == value[k % 3];
+    for (int i = 0; i < 3; i++)
+        count[i] = equal[i] + equal[i + 3] + equal[i + 6] + equal[i + 9];
+}
+
+WIDE_VECTORS static size repeats(size m, in_t x)
+{
+    int64_t again = 0;
+    for (size k = 3; k < m; k++)
+        again += x[k] == x[k - 3];
+    return (size)again;
+}
+
+/* value (n, 3); found (4,): `screen._seen`, by blocks of `half` samples */
+static double look(size half, Arrays *a)
+{
+    const double *value = a->at[0], none[3] = {0};
+    double top[3], low[3], *found = a->at[1];
+    size m = entries(a, 0);
+    int64_t count[3];
+    memset(found, 0, 4 * sizeof(double));
+    found[2] = (double)repeats(m, value);
+    for (size k = 0; found[2] && k + 3 * half <= m; k += 3 * half)
+        for (int i = 0; i < 3; i++) {
+            size same = 1;
+            while (same < half && value[k + 3 * same + i] == value[k + i])
+                same++;
+            found[1] += same == half;
+        }
+    extremes(m, value, top, low);
+    for (int side = 0; side < 2; side++) {
+        equal_to(m, value, side ? low : top, count);
+        for (int i = 0; i < 3; i++)
+            found[3] = larger(found[3], (double)count[i]);
+    }
+    equal_to(m, value, none, count);
+    for (size k = 0; count[0] && count[1] && count[2] && k < m; k += 3)
+        found[0] += value[k] == 0 && value[k + 1] == 0 && value[k + 2] == 0;
+    return 0.0;
+}
+TO_PYTHON(look, 2, 1)
+
 /* value (n, 3), share (1,) of the largest change; block (1,): returns whether in any block of so many samples more than
    a quarter of an axis' second differences that are not zero are smaller than this share */
 static double calm_blocks(size n, Arrays *a)
