@@ -11,7 +11,7 @@ from test_compiled import both, close
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.model_error import alternating, samples
-from magyc_gtsam.estimators.model_error.components import principal
+from magyc_gtsam.estimators.model_error.components import log_likelihoods, principal
 from magyc_gtsam.estimators.model_error.moments import averaged_moments, propagated
 from magyc_gtsam.estimators.model_error.rest import moving
 from magyc_gtsam.estimators.model_error.turning import aligned, turn_rates
@@ -21,6 +21,7 @@ from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import chained
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.fingerprint import fingerprint
+from magyc_gtsam.sensor_faults.screen import _seen
 from magyc_gtsam.sensor_faults.spikes import _may_stand_out
 
 pytestmark = pytest.mark.skipif(compiled.loops is None, reason="the inner loops were not compiled")
@@ -101,3 +102,26 @@ def test_moments_of_groups(monkeypatch: pytest.MonkeyPatch) -> None:
     fast, numpy = both(lambda: propagated(moves, numpy), monkeypatch)
     for one, other in zip(fast, numpy, strict=True):
         close(one, other)
+
+
+def test_likelihoods_of_amplitudes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of groups that explain little and more than all, with products beyond the range of numbers."""
+    random = np.random.default_rng(5)
+    roots = [random.normal(size=(k, k + 2)) * 1e9 for k in (1, 3, 18)]
+    groups = [principal(root @ root.T, 1e9 * random.normal(size=len(root))) for root in roots]
+    variance = np.geomspace(1e-24, 1e10, 48) * np.ones((3, 1))
+    for one, other in zip(*both(lambda: log_likelihoods(groups, 5.0, 900.0, variance), monkeypatch), strict=True):
+        close(one, other)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_what_samples_have_that_faults_have(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of few and many coarse samples, with a stretch of one value and rows of zeros."""
+    random = np.random.default_rng(seed)
+    value = np.round(random.normal(size=(random.integers(3, 400), 3)), seed % 3)
+    first, axis = random.integers(len(value), size=2)
+    value[first : first + random.integers(40, 120), axis % 3] = 1.0
+    if seed % 2:
+        value[first] = 0.0
+    fast, numpy = both(lambda: _seen(value), monkeypatch)
+    assert fast == numpy

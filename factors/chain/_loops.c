@@ -6,6 +6,7 @@
 #include "c/columns.h"
 #include "c/directions.h"
 #include "c/gyroscope.h"
+#include "c/hashes.h"
 #include "c/linearisation.h"
 #include "c/moments.h"
 #include "c/motion.h"
@@ -245,6 +246,14 @@ static double sum_windows(size n, Arrays *a)
 }
 TO_PYTHON(sum_windows, 6, 1)
 
+/* start (windows,) of int64, mean (windows,), time (n,), field (n, 3); field (3, windows), spread (windows,) */
+static double average_samples(size n, Arrays *a)
+{
+    averages(entries(a, 0), (const int64_t *)a->at[0], n, a->at[1], a->at[2], a->at[3], a->at[4], a->at[5]);
+    return 0.0;
+}
+TO_PYTHON(average_samples, 6, 2)
+
 /* sums (27, n), count, spread (n,); rotation, rotation_bias, rotation_rate, lever */
 static double window_motion(size n, Arrays *a)
 {
@@ -280,7 +289,8 @@ static PyMethodDef methods[] = {
     METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
     METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
     METHOD(angles), METHOD(second_differences), METHOD(stand_out), METHOD(alternate), METHOD(calm_blocks),
-    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals), {NULL, NULL, 0, NULL},
+    METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals),
+    METHOD(log_likelihoods), METHOD(look), METHOD(average_samples), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

@@ -11,7 +11,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.banded import BandFactor, backward_solved, inverse_blocks
-from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices
+from magyc_gtsam.factors.chain.rotations import Array, exponential_matrix
 from magyc_gtsam.factors.chain.vech import unvech
 
 PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
@@ -120,4 +120,4 @@ def iron_matrix(parameters: Array) -> Array:
 
 def skew_rotation(parameters: Array) -> Array:
     """Return Exp(ε), from the gyroscope's axes to the magnetometer's."""
-    return exponential_matrices(parameters[SKEW, None])[:, :, 0]
+    return exponential_matrix(parameters[SKEW])

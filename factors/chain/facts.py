@@ -101,7 +101,8 @@ def field_strength(soft_iron: Array) -> tuple[float, Array]:
 
 def strength_of(iron: Array) -> float:
     """Return the field strength ∛|det B| of an iron matrix B (3, 3)."""
-    return float(np.cbrt(abs(np.linalg.det(iron))))
+    (a, b, c), (d, e, f), (g, h, i) = iron.tolist()
+    return float(np.cbrt(abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))))
 
 
 def quadratic(facts: Sequence[Fact], parameters: Array) -> tuple[float, Array, Array]:

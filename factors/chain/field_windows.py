@@ -175,7 +175,7 @@ class FieldWindows:
 
         def moved() -> Array:
             if compiled.loops:
-                change = np.append(bias - self.bias, delay - self.delay)
+                change = np.array([*(bias - self.bias), delay - self.delay])
                 parts = map(compiled.given, (self.rotation, self.rotation_bias, self.rotation_rate))
                 result = np.empty(self.rotation.shape)
                 compiled.loops.rotate(len(self), *parts, change, result)

@@ -35,7 +35,7 @@ from magyc_gtsam.factors.chain.field_windows import (
 )
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, Spinor
-from magyc_gtsam.factors.chain.window_sums import ROWS, of_windows, window_sums
+from magyc_gtsam.factors.chain.window_sums import ROWS, of_samples, of_windows, window_sums
 from magyc_gtsam.factors.errors import MagycError
 
 HOLE = 0.5  # s, a longer step of the gyroscope interrupts a chain
@@ -60,7 +60,7 @@ def windows_passed(step: Array, rate: Array, turn: float, length: float) -> Arra
 
     A window ends after a rotation by `turn` rad, and after `length` s at the latest.
     """
-    x, y, z = rate.T
+    x, y, z = np.ascontiguousarray(rate.T)
     speed = np.sqrt(x * x + y * y + z * z)
     passed: Array = np.maximum(0.5 * (speed[1:] + speed[:-1]) / turn, 1 / length) * step
     return passed
@@ -116,12 +116,13 @@ class Preintegration:
         if len(holes):
             segment = np.searchsorted(after, self.magnetometer_time, side="right")
             known &= segment == np.searchsorted(before, self.magnetometer_time, side="left")
-        if known.sum() < 3:
+        count = np.count_nonzero(known)
+        if count < 3:
             raise MagycError(
-                f"{known.sum()} magnetometer samples inside the gyroscope's time span "
+                f"{count} magnetometer samples inside the gyroscope's time span "
                 f"({self.gyroscope_time[0]:.3f} to {self.gyroscope_time[-1]:.3f} s), at least 3 are needed"
             )
-        if not known.all():
+        if count < len(known):
             object.__setattr__(self, "magnetometer_time", self.magnetometer_time[known])
             object.__setattr__(self, "magnetic_field", self.magnetic_field[known])
         ended = self._ended(holes)
@@ -177,6 +178,7 @@ class Preintegration:
         starts, total = self.starts, len(self.magnetometer_time)
         count = np.diff(np.append(starts, total)).astype(float)
         time = np.add.reduceat(self.magnetometer_time, starts) / count
+        field, spread = of_samples(starts, time, self.magnetometer_time, self.magnetic_field)
         sums = np.empty((ROWS, len(starts)))
         squared_time = np.empty(len(starts))
         first, track = 0, None
@@ -193,12 +195,11 @@ class Preintegration:
                 between.append(self.empty.part(first, last).integrated(track, delay))
                 links.append(last - first)
             first = last
-        since = self.magnetometer_time - np.repeat(time, count.astype(int))
-        motion = of_windows(sums, count, np.add.reduceat(since * since, starts) / count)
+        motion = of_windows(sums, count, spread)
         return FieldWindows(
             time=time,
             count=count,
-            field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
+            field=field,
             link_time=np.diff(squared_time),
             linked=self.linked,
             bias=bias,
@@ -270,6 +271,7 @@ class Preintegration:
         own = slice(begin, begin + len(when))
         if np.array_equal(when, track.time[own]):
             p, q = track.rotation
-            return (p[own], q[own]), track.lever[:, own], track.angular_rate[own] - track.bias
+            rate = track.angular_rate[own]
+            return (p[own], q[own]), track.lever[:, own], rate - track.bias if track.bias.any() else rate
         rotation, rate = track.rotation_at(when)
         return rotation, track.lever_at(when), rate

@@ -6,6 +6,8 @@ numpy calls for any number of rotations.
 
 from __future__ import annotations
 
+from math import sin, sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -195,6 +197,17 @@ def cross(first: Array, second: Array, out: Array | None = None) -> Array:
     return result
 
 
+def by_axes(vector: Array) -> Array:
+    """Return the cross products e_k × v (3, 3, n) of each axis k with vectors (3, n)."""
+    x, y, z = vector
+    result = np.zeros((3, *vector.shape))
+    np.negative(z, out=result[0, 1])
+    np.negative(x, out=result[1, 2])
+    np.negative(y, out=result[2, 0])
+    result[0, 2], result[1, 0], result[2, 1] = y, z, x
+    return result
+
+
 def along(vector: Array, columns: Array) -> Array:
     """Return the products (p, n) of vectors (3, n) with columns (p, 3, n)."""
     result: Array = np.einsum("in,pin->pn", vector, columns)
@@ -221,6 +234,23 @@ def exponential_matrices(rotation_vector: Array) -> Array:
     result[1, 2] -= x
     result[2, 1] += x
     return result
+
+
+def exponential_matrix(rotation_vector: Array) -> Array:
+    """Return the rotation matrix (3, 3) of one rotation vector (3,)."""
+    x, y, z = rotation_vector.tolist()
+    square = x * x + y * y + z * z
+    angle, a, b = sqrt(square), 1.0, 0.5
+    if angle > 0:
+        a, b = sin(angle) / angle, 0.5 * (sin(0.5 * angle) / (0.5 * angle)) ** 2
+    c = 1 - b * square
+    return np.array(
+        [
+            [b * x * x + c, b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, b * y * y + c, b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, b * z * z + c],
+        ]
+    )
 
 
 def right_jacobian(rotation_vector: Array) -> Array:

@@ -1,9 +1,9 @@
-"""Solutions of small linear systems, without the overhead of `np.linalg.solve`, which exceeds their cost."""
+"""Solutions of small linear systems and eigenvectors, without the overhead of `np.linalg`, which exceeds their cost."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dgesv
+from scipy.linalg.lapack import dgesv, dsyevd
 
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -20,3 +20,15 @@ def solved(matrix: Array, right: Array) -> Array:
     if failed:
         raise np.linalg.LinAlgError("Singular matrix")
     return np.asarray(result)
+
+
+def eigenvectors(matrix: Array) -> tuple[Array, Array]:
+    """Return the ascending eigenvalues (k,) of a symmetric matrix (k, k), and its eigenvectors in columns.
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is not finite.
+    """
+    value, vector, failed = dsyevd(matrix, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+    return value, vector

@@ -35,5 +35,4 @@ def unvech(vector6: ArrayLike) -> Array:
     array = np.asarray(vector6, dtype=np.float64)
     if array.shape[-1:] != (6,):
         raise MagycError(f"unvech: shape {array.shape}, expected (..., 6)")
-    result: Array = array[..., _WHOLE]
-    return result
+    return array.take(_WHOLE, axis=-1)

@@ -1,4 +1,4 @@
-"""Sums of attitude, lever and rate of turn over the magnetometer samples of each window."""
+"""Sums and means over the magnetometer samples of each window, of the motion and of the field."""
 
 from __future__ import annotations
 
@@ -30,6 +30,24 @@ def window_sums(starts: np.ndarray, rotation: Spinor, lever: Array, rate: Array)
     for part, rows in zip(np.split(result, 3), (turned, lever, change.reshape(9, -1)), strict=True):
         np.add.reduceat(rows, starts, axis=1, out=part)
     return result
+
+
+def of_samples(starts: np.ndarray, mean: Array, time: Array, field: Array) -> tuple[Array, Array]:
+    """Return the mean field (3, n) of each window, and the variance (n,) of its stamps.
+
+    Args:
+        starts, mean: (n,) the first sample of each window, and the mean of its stamps.
+        time, field: (m,), (m, 3) of all samples.
+    """
+    if compiled.loops:
+        result = np.empty((3, len(starts))), np.empty(len(starts))
+        samples = map(compiled.given, (mean, time, field))
+        compiled.loops.average_samples(len(time), starts.astype(np.int64, copy=False), *samples, *result)
+        return result
+    count = np.diff(np.append(starts, len(time)))
+    since = time - np.repeat(mean, count)
+    of_field = np.ascontiguousarray(np.add.reduceat(field, starts, axis=0).T / count)
+    return of_field, np.add.reduceat(since * since, starts) / count
 
 
 class MotionInWindows(NamedTuple):

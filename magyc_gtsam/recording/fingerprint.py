@@ -54,7 +54,7 @@ class RunningFingerprint:
 
     def take(self, values: Array) -> None:
         """Add the next samples (n, 3) of the magnetometer, without repeats."""
-        rows = np.vstack([self._last, values])
+        rows = np.vstack([self._last, values]) if len(self._last) else values
         cells = _cells(rows)
         moved = np.flatnonzero(_moved(cells))
         smallest = _smallest(cells[moved])

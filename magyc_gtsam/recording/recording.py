@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -112,7 +113,6 @@ class Recording:
         n = len(time)
         put(self, "time", time)
         put(self, "magnetic_field", frozen("magnetic_field", self.magnetic_field, (n, 3)))
-
         if self.magnetic_field_unit == "T":
             check_field_unit(self.magnetic_field)
         if self.angular_rate is not None:
@@ -143,7 +143,7 @@ class Recording:
     @property
     def magnetometer(self) -> Samples:
         """The true samples of the magnetometer, without held and filled rows."""
-        return self._samples(self.magnetic_field, self.magnetic_field_fresh)
+        return self._samples(self.magnetic_field, self.magnetic_field_fresh, self._every_row[0])
 
     @property
     def gyroscope(self) -> Samples:
@@ -159,12 +159,14 @@ class Recording:
                 + (remark or "name the gyroscope's topic or columns (angular_rate=)")
                 + ", or choose a magnetometer-only method (method='autocal')"
             )
-        return self._samples(self.angular_rate, self.angular_rate_fresh)
+        return self._samples(self.angular_rate, self.angular_rate_fresh, self._every_row[1])
 
-    def _samples(self, values: Array, fresh: Mask) -> Samples:
-        if fresh.all():
-            return Samples(self.time, values)
-        return Samples(self.time[fresh], values[fresh])
+    def _samples(self, values: Array, fresh: Mask, every: bool) -> Samples:
+        return Samples(self.time, values) if every else Samples(self.time[fresh], values[fresh])
+
+    @cached_property
+    def _every_row(self) -> tuple[bool, bool]:  # holds a true sample of the magnetometer, of the gyroscope
+        return bool(self.magnetic_field_fresh.all()), bool(self.angular_rate_fresh.all())
 
     @property
     def field_shown(self) -> tuple[float, str]:
@@ -189,8 +191,7 @@ class Recording:
         """
         check_interval(start, end)
         since = self.time - self.time[0]
-        first = -np.inf if start is None else start
-        last = np.inf if end is None else end
+        first, last = (-np.inf if start is None else start), (np.inf if end is None else end)
         rows = (since >= first) & (since <= last)
         if rows.sum() < 3:
             raise MagycError(
@@ -290,8 +291,7 @@ class Recording:
 
     def __repr__(self) -> str:
         fresh = {"magnetometer": self.magnetic_field_fresh}
-        if self.angular_rate is not None:
-            fresh["gyroscope"] = self.angular_rate_fresh
+        fresh |= {} if self.angular_rate is None else {"gyroscope": self.angular_rate_fresh}
         rates = ", ".join(f"{k} {(m.sum() - 1) / self.duration:.1f} Hz" for k, m in fresh.items())
         return f"Recording({self.name!r}, {len(self.time)} rows, {self.duration:.1f} s, {rates})"
 

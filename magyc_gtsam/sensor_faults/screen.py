@@ -5,10 +5,12 @@ Each test checks a necessary condition of a fault at a few comparisons per sampl
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.sensor_faults import full_scale, largest_value, stuck
 from magyc_gtsam.sensor_faults.spikes import has_spikes
@@ -18,33 +20,53 @@ from magyc_gtsam.sensor_faults.stuck_bit import stuck_bit
 def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
     """Return whether any of the detectors could find a fault in the named sensors' samples."""
     field = recording.magnetometer.value
+    seen = _seen(field)
+    at_extreme = max(full_scale.LEAST, full_scale.MOST * len(field))
     if (
         _repeats(recording)
-        or _has_zeros(field)
-        or any(_may_be_stuck(axis) or _may_be_cut_off(axis) for axis in _axes(field))
+        or seen.zeros
+        or seen.stuck
+        or seen.at_extreme > at_extreme
         or stuck_bit(field) is not None
     ):
         return True
     if recording.angular_rate is None or "angular_rate" not in sensors:
         return False
     rate = recording.gyroscope.value
-    if _has_zeros(rate) or any(_may_be_stuck(axis) or _levels_off(axis) for axis in _axes(rate)):
-        return True
-    return has_spikes(rate)
+    seen = _seen(rate)
+    return seen.zeros or seen.stuck or (seen.again and any(map(_levels_off, rate.T))) or has_spikes(rate)
 
 
-def _axes(values: Array) -> Iterator[Array]:
-    """Yield the columns of (n, 3) in turn, each copied into the same contiguous array."""
-    axis = np.empty(len(values))
-    for column in values.T:
-        axis[:] = column
-        yield axis
+class _Seen(NamedTuple):
+    """What the samples (n, 3) of a sensor have that faults have, too.
+
+    zeros: a sample that is zero on all axes; stuck: an axis that may hold one value for as long as a stuck axis; again:
+    an axis that repeats the value before; at_extreme: most samples of an axis at its largest or at its smallest value.
+    """
+
+    zeros: bool
+    stuck: bool
+    again: bool
+    at_extreme: int
 
 
-def _has_zeros(value: Array) -> bool:
-    """Return whether a sample of (n, 3) is zero on all axes."""
-    zero = value[:, 0] == 0
-    return bool(zero.any()) and bool((zero & (value[:, 1] == 0) & (value[:, 2] == 0)).any())
+def _seen(value: Array) -> _Seen:
+    """Look at samples (n, 3).
+
+    Any run of a stuck axis contains at least one of the consecutive blocks of half its length.
+    """
+    half = stuck.LEAST_SAMPLES // 2
+    if compiled.loops:
+        found = np.empty(4)
+        compiled.loops.look(half, compiled.given(value), found)
+        return _Seen(bool(found[0]), bool(found[1]), bool(found[2]), int(found[3]))
+    same = value[1:] == value[:-1]
+    whole = value[: len(value) // half * half].reshape(-1, half, value.shape[1])
+    held = (whole == whole[:, :1]).all(axis=1)
+    most = max(
+        np.count_nonzero(value == extreme, axis=0).max() for extreme in (value.max(axis=0), value.min(axis=0))
+    )
+    return _Seen(bool((value == 0).all(axis=1).any()), bool(held.any()), bool(same.any()), int(most))
 
 
 def _repeats(recording: Recording) -> bool:
@@ -54,26 +76,6 @@ def _repeats(recording: Recording) -> bool:
         return False
     edges = np.concatenate([[-1], np.flatnonzero(fresh), [len(fresh)]])
     return bool(np.diff(edges).max() > stuck.LEAST_SAMPLES)
-
-
-def _may_be_stuck(axis: Array) -> bool:
-    """Return whether an axis (n,) may hold one value for as long as a stuck axis.
-
-    Any such run contains at least one of the consecutive blocks of half its length.
-    """
-    half = stuck.LEAST_SAMPLES // 2
-    blocks = axis[: len(axis) // half * half].reshape(-1, half)
-    alike = blocks[:, 0] == blocks[:, -1]
-    if not alike.any():
-        return False
-    blocks = blocks[alike]
-    return bool((blocks == blocks[:, :1]).all(axis=1).any())
-
-
-def _may_be_cut_off(axis: Array) -> bool:
-    """Return whether an axis (n,) reads its own extreme as often as an axis that is cut off."""
-    least = max(full_scale.LEAST, full_scale.MOST * len(axis))
-    return any(np.count_nonzero(axis == value) > least for value in (axis.max(), axis.min()))
 
 
 def _levels_off(axis: Array) -> bool:

@@ -125,25 +125,26 @@ class StuckBits:
 
 def stuck_bit(value: Array, rules: BitRules = RULES) -> Bit | None:
     """Return the first stuck bit of samples (n, 3) T or counts; None if there is none, or if it cannot be told."""
-    for axis, column in enumerate(value.T):
-        step = _step(column[: rules.first], rules)
-        if step and (worth := _bit(column, step, rules)):
+    if len(value) < 2:
+        return None
+    for axis, step in enumerate(_steps(np.ascontiguousarray(value[: rules.first].T), rules)):
+        if step and (worth := _bit(value[:, axis], step, rules)):
             return Bit(axis, worth * step)
     return None
 
 
-def _step(reading: Array, rules: BitRules) -> float:
-    """Return the step whose multiples, apart from an offset, all readings (n,) are; 0 if there is none."""
+def _steps(reading: Array, rules: BitRules) -> list[float]:
+    """Return for each axis the step whose multiples, apart from an offset, all readings (3, n) are; 0 if there is none.
+
+    Equal readings may differ by rounding.
+    """
     change = np.diff(np.sort(reading))
-    if not change.any():
-        return 0.0
-    # Equal readings may differ by rounding.
-    step = float(change.min(where=change > rules.whole * change.mean(), initial=np.inf))
-    return step if _are_whole((reading - reading[0]) / step, rules) else 0.0
-
-
-def _are_whole(steps: Array, rules: BitRules) -> bool:
-    return bool(np.abs(steps - np.rint(steps)).max() < rules.whole)
+    real = change > rules.whole * change.mean(axis=1, keepdims=True)
+    step = change.min(axis=1, where=real, initial=np.inf)  # infinite if there is no change
+    steps = (reading - reading[:, :1]) / step[:, None]
+    whole = np.abs(steps - np.rint(steps)).max(axis=1) < rules.whole
+    found: list[float] = np.where(whole & np.isfinite(step), step, 0.0).tolist()
+    return found
 
 
 def _bit(reading: Array, step: float, rules: BitRules) -> int:

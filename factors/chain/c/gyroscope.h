@@ -23,10 +23,11 @@ static double turns_between(size n, in_t time, in_t rate, in_t bias, out_t resul
     for (size t = 0; t < m; t++) {
         const double *one = rate + 3 * t, *two = one + 3;
         double after = t + 1 < m ? time[t + 2] - time[t + 1] : step, square = step * step / 12, w[3], v[3];
+        double inverse = t + 1 < m ? 1 / after : 0.0, share = step / (step + after);
         int near = t + 1 < m && fmax(step, after) < HOLE * fmin(step, after);
         for (int i = 0; i < 3; i++) { /* the slope of the parabola at the end of the step */
-            double change = t + 1 < m ? (two[3 + i] - two[i]) / after : 0.0;
-            double slope = here[i] + step / (step + after) * (change - here[i]);
+            double change = t + 1 < m ? (two[3 + i] - two[i]) * inverse : 0.0;
+            double slope = here[i] + share * (change - here[i]);
             w[i] = one[i] - bias[i];
             v[i] = two[i] - bias[i];
             result[m * i + t] = 0.5 * step * (w[i] + v[i]);
@@ -134,6 +135,24 @@ static void window_sums(size windows, const int64_t *start, size m, in_t p, in_t
         }
         for (int i = 0; i < 27; i++)
             sums[i * windows + k] = sum[i];
+    }
+}
+
+/* The mean field (3, windows) of the samples of each window, and the variance of their stamps about their mean. */
+static void averages(size windows, const int64_t *start, size m, in_t mean, in_t time, in_t field, out_t of_field,
+                     out_t spread)
+{
+    for (size k = 0; k < windows; k++) {
+        size first = (size)start[k], stop = k + 1 < windows ? (size)start[k + 1] : m;
+        double count = (double)(stop - first), square = 0.0, x[3] = {0};
+        for (size t = first; t < stop; t++) {
+            square += (time[t] - mean[k]) * (time[t] - mean[k]);
+            for (int i = 0; i < 3; i++)
+                x[i] += field[3 * t + i];
+        }
+        spread[k] = square / count;
+        for (int i = 0; i < 3; i++)
+            of_field[i * windows + k] = x[i] / count;
     }
 }
 

@@ -1,9 +1,33 @@
-/* Second moments of groups of coefficients, and of the parameters that they move. */
+/* Groups of coefficients with one amplitude each: the likelihoods of amplitudes, the second moments of the coefficients
+   averaged over them, and those of the parameters that they move. */
 
 #ifndef MAGYC_MOMENTS_H
 #define MAGYC_MOMENTS_H
 
 #include "arguments.h"
+
+#define LARGE 1e100 /* of a product, whose logarithm is then taken */
+
+/* gain, left (m,): `components.log_likelihoods` of one group at its variances, by its k eigenvalues and s along their
+   vectors; rules: yᵀy, the degrees of freedom, and the least that is left. */
+static void likelihoods(size k, size m, in_t value, in_t pull, in_t variance, in_t rules, out_t gain, out_t left)
+{
+    for (size j = 0; j < m; j++) {
+        double product = 1.0, logs = 0.0, explained = 0.0;
+        for (size i = 0; i < k; i++) {
+            double spread = 1 + variance[j] * value[i];
+            explained += pull[i] * pull[i] / spread;
+            product *= spread;
+            if (product > LARGE) {
+                logs += log(product);
+                product = 1.0;
+            }
+        }
+        double rest = rules[0] - variance[j] * explained;
+        left[j] = rest < rules[2] ? rules[2] : rest;
+        gain[j] = -0.5 * (logs + log(product) + rules[1] * log(left[j] / rules[0]));
+    }
+}
 
 /* result (rows, rows) = left (rows, k) · inner (k, k), symmetric · leftᵀ; work holds (rows, k). */
 static void congruence(size rows, size k, in_t left, size step, in_t inner, out_t work, out_t result)
@@ -46,6 +70,17 @@ static void averaged_moment(size k, size m, in_t value, in_t vector, in_t pull, 
     }
     congruence(k, k, vector, k, inner, room, second);
 }
+
+/* count (groups,) of int64, value, pull (K,), variance (groups, m), rules (3,); gain, left (groups, m) */
+static double log_likelihoods(size m, Arrays *a)
+{
+    const int64_t *count = (const int64_t *)a->at[0];
+    for (size g = 0, row = 0; g < entries(a, 0); row += (size)count[g++])
+        likelihoods((size)count[g], m, a->at[1] + row, a->at[2] + row, a->at[3] + g * m, a->at[4], a->at[5] + g * m,
+                    a->at[6] + g * m);
+    return 0.0;
+}
+TO_PYTHON(log_likelihoods, 7, 2)
 
 /* count (groups,) of int64, value (K,), vector (K k), pull (K,), variance, weight, level (groups, m); second (K k) */
 static double average_moments(size m, Arrays *a)

@@ -25,22 +25,57 @@ static double second_differences(size stride, Arrays *a)
 }
 TO_PYTHON(second_differences, 2, 1)
 
+#define AXES 12 /* entries in lanes: three axes of four samples */
+
+/* Of the axes (3,) of m entries, three of each sample: the sums. */
+WIDE_VECTORS static void sums(size m, in_t x, double sum[3])
+{
+    double lane[AXES] = {0};
+    for (size k = 0; k + AXES <= m; k += AXES)
+        for (int i = 0; i < AXES; i++)
+            lane[i] += x[k + i];
+    for (size k = m - m % AXES; k < m; k++)
+        lane[k % 3] += x[k];
+    for (int i = 0; i < 3; i++)
+        sum[i] = (lane[i] + lane[i + 3]) + (lane[i + 6] + lane[i + 9]);
+}
+
+/* The sums of the squares about a mean. */
+WIDE_VECTORS static void squares_about(size m, in_t x, const double mean[3], double sum[3])
+{
+    double lane[AXES] = {0}, of[AXES];
+    for (int i = 0; i < AXES; i++)
+        of[i] = mean[i % 3];
+    for (size k = 0; k + AXES <= m; k += AXES)
+        for (int i = 0; i < AXES; i++)
+            lane[i] += (x[k + i] - of[i]) * (x[k + i] - of[i]);
+    for (size k = m - m % AXES; k < m; k++)
+        lane[k % 3] += (x[k] - mean[k % 3]) * (x[k] - mean[k % 3]);
+    for (int i = 0; i < 3; i++)
+        sum[i] = (lane[i] + lane[i + 3]) + (lane[i + 6] + lane[i + 9]);
+}
+
+WIDE_VECTORS static double squared_second_differences(size m, in_t x)
+{
+    double sum = 0.0;
+#pragma omp simd reduction(+ : sum)
+    for (size k = 0; k < m; k++) {
+        double second = x[k] - 2 * x[k + 3] + x[k + 6];
+        sum += second * second;
+    }
+    return sum;
+}
+
 /* value (n, 3); result (2,): the mean squared norm of the second differences, and the variance of all axes together */
 static double roughness(size n, Arrays *a)
 {
-    const double *x = a->at[0];
-    double mean[3] = {0}, rough = 0.0, whole = 0.0;
-    for (size k = 0; k < 3 * n; k++)
-        mean[k % 3] += x[k] / (double)n;
-    for (size t = 0; t < n; t++)
-        for (int i = 0; i < 3; i++)
-            whole += (x[3 * t + i] - mean[i]) * (x[3 * t + i] - mean[i]);
-    for (size k = 0; k < 3 * (n - 2); k++) {
-        double second = x[k] - 2 * x[k + 3] + x[k + 6];
-        rough += second * second;
-    }
-    a->at[1][0] = rough / (double)(n - 2);
-    a->at[1][1] = whole / (double)n;
+    double mean[3], whole[3];
+    sums(3 * n, a->at[0], mean);
+    for (int i = 0; i < 3; i++)
+        mean[i] /= (double)n;
+    squares_about(3 * n, a->at[0], mean, whole);
+    a->at[1][0] = squared_second_differences(3 * (n - 2), a->at[0]) / (double)(n - 2);
+    a->at[1][1] = (whole[0] + whole[1] + whole[2]) / (double)n;
     return 0.0;
 }
 TO_PYTHON(roughness, 2, 1)
@@ -66,14 +101,10 @@ static double stand_out(size n, Arrays *a)
     if (!apart)
         return 0.0;
     beside_medians(3 * m, a->at[0], apart);
-    for (int i = 0; i < 3; i++)
-        mean[i] = scatter[i] = 0.0;
-    for (size k = 0; k < 3 * m; k++)
-        mean[k % 3] += apart[k];
+    sums(3 * m, apart, mean);
     for (int i = 0; i < 3; i++)
         mean[i] /= (double)m;
-    for (size k = 0; k < 3 * m; k++)
-        scatter[k % 3] += (apart[k] - mean[k % 3]) * (apart[k] - mean[k % 3]);
+    squares_about(3 * m, apart, mean, scatter);
     for (int i = 0; i < 3; i++)
         scatter[i] = sqrt(scatter[i] / (double)m);
     PyMem_RawFree(apart);
@@ -81,30 +112,152 @@ static double stand_out(size n, Arrays *a)
 }
 TO_PYTHON(stand_out, 3, 2)
 
+/* m entries less the mean of their neighbours, 3 apart, with the signs given. */
+WIDE_VECTORS static void beside_neighbours(size m, in_t x, in_t sign, out_t apart)
+{
+    for (size k = 0; k < m; k++)
+        apart[k] = sign[k] * (0.5 * x[k + 3] - 0.25 * (x[k] + x[k + 6]));
+}
+
 /* value (N, 3), first (blocks,) of int64; mean, inside (3, blocks): of n samples less the mean of their neighbours, with
    alternating signs, the mean and the sum of the squares about it */
 static double alternate(size n, Arrays *a)
 {
     size blocks = entries(a, 1);
-    for (size block = 0; block < blocks; block++)
+    double *sign = room(a, 6 * n), *apart = sign + 3 * n;
+    if (!sign)
+        return 0.0;
+    for (size k = 0; k < 3 * n; k++)
+        sign[k] = k / 3 % 2 ? -1.0 : 1.0;
+    for (size block = 0; block < blocks; block++) {
+        double mean[3], inside[3];
+        beside_neighbours(3 * n, a->at[0] + 3 * (size)((const int64_t *)a->at[1])[block], sign, apart);
+        sums(3 * n, apart, mean);
+        for (int i = 0; i < 3; i++)
+            mean[i] /= (double)n;
+        squares_about(3 * n, apart, mean, inside);
         for (int i = 0; i < 3; i++) {
-            const double *x = a->at[0] + 3 * (size)((const int64_t *)a->at[1])[block] + i;
-            double sum = 0.0, square = 0.0, *mean = a->at[2] + i * blocks + block;
-            for (size k = 0; k < n; k++) {
-                double apart = 0.5 * x[3 * k + 3] - 0.25 * (x[3 * k] + x[3 * k + 6]);
-                sum += k % 2 ? -apart : apart;
-            }
-            *mean = sum / (double)n;
-            for (size k = 0; k < n; k++) {
-                double apart = 0.5 * x[3 * k + 3] - 0.25 * (x[3 * k] + x[3 * k + 6]);
-                double away = (k % 2 ? -apart : apart) - *mean;
-                square += away * away;
-            }
-            a->at[3][i * blocks + block] = square;
+            a->at[2][i * blocks + block] = mean[i];
+            a->at[3][i * blocks + block] = inside[i];
         }
+    }
+    PyMem_RawFree(sign);
     return 0.0;
 }
 TO_PYTHON(alternate, 4, 2)
+
+/* The largest and least entries of each axis. */
+WIDE_VECTORS static void extremes(size m, in_t x, double top[3], double low[3])
+{
+    double most[AXES], least[AXES];
+    for (int i = 0; i < AXES; i++)
+        most[i] = least[i] = x[i % 3];
+    for (size k = 0; k + AXES <= m; k += AXES)
+        for (int i = 0; i < AXES; i++) {
+            most[i] = x[k + i] > most[i] ? x[k + i] : most[i];
+            least[i] = x[k + i] < least[i] ? x[k + i] : least[i];
+        }
+    for (size k = m - m % AXES; k < m; k++) {
+        most[k % 3] = larger(most[k % 3], x[k]);
+        least[k % 3] = lesser(least[k % 3], x[k]);
+    }
+    for (int i = 0; i < 3; i++) {
+        top[i] = larger(larger(most[i], most[i + 3]), larger(most[i + 6], most[i + 9]));
+        low[i] = lesser(lesser(least[i], least[i + 3]), lesser(least[i + 6], least[i + 9]));
+    }
+}
+
+/* How many entries are equal to a value of their axis. */
+WIDE_VECTORS static void equal_to(size m, in_t x, const double value[3], int64_t count[3])
+{
+    double of[AXES];
+    int64_t equal[AXES] = {0};
+    for (int i = 0; i < AXES; i++)
+        of[i] = value[i % 3];
+    for (size k = 0; k + AXES <= m; k += AXES)
+        for (int i = 0; i < AXES; i++)
+            equal[i] += x[k + i] == of[i];
+    for (size k = m - m % AXES; k < m; k++)
+        equal[k % 3] += x[k] == value[k % 3];
+    for (int i = 0; i < 3; i++)
+        count[i] = equal[i] + equal[i + 3] + equal[i + 6] + equal[i + 9];
+}
+
+WIDE_VECTORS static size repeats(size m, in_t x)
+{
+    int64_t again = 0;
+    for (size k = 3; k < m; k++)
+        again += x[k] == x[k - 3];
+    return (size)again;
+}
+
+/* value (n, 3); found (4,): `screen._seen`, by blocks of `half` samples */
+static double look(size half, Arrays *a)
+{
+    const double *value = a->at[0], none[3] = {0};
+    double top[3], low[3], *found = a->at[1];
+    size m = entries(a, 0);
+    int64_t count[3];
+    memset(found, 0, 4 * sizeof(double));
+    found[2] = (double)repeats(m, value);
+    for (size k = 0; found[2] && k + 3 * half <= m; k += 3 * half)
+        for (int i = 0; i < 3; i++) {
+            size same = 1;
+            while (same < half && value[k + 3 * same + i] == value[k + i])
+                same++;
+            found[1] += same == half;
+        }
+    extremes(m, value, top, low);
+    for (int side = 0; side < 2; side++) {
+        equal_to(m, value, side ? low : top, count);
+        for (int i = 0; i < 3; i++)
+            found[3] = larger(found[3], (double)count[i]);
+    }
+    equal_to(m, value, none, count);
+    for (size k = 0; count[0] && count[1] && count[2] && k < m; k += 3)
+        found[0] += value[k] == 0 && value[k + 1] == 0 && value[k + 2] == 0;
+    return 0.0;
+}
+TO_PYTHON(look, 2, 1)
+
+/* The largest change of each axis. */
+WIDE_VECTORS static void largest_changes(size m, in_t x, double most[3])
+{
+    double lane[AXES] = {0};
+    for (size k = 0; k + AXES + 3 <= m; k += AXES)
+        for (int i = 0; i < AXES; i++) {
+            double change = fabs(x[k + 3 + i] - x[k + i]);
+            lane[i] = change > lane[i] ? change : lane[i];
+        }
+    for (size k = (m - 3) - (m - 3) % AXES; k < m - 3; k++)
+        lane[k % 3] = larger(lane[k % 3], fabs(x[k + 3] - x[k]));
+    for (int i = 0; i < 3; i++)
+        most[i] = larger(larger(lane[i], lane[i + 3]), larger(lane[i + 6], lane[i + 9]));
+}
+
+/* How many of m second differences of each axis are not zero, and how many of those are below its limit. */
+WIDE_VECTORS static void count_seconds(size m, in_t x, const double limit[3], int64_t some[3], int64_t low[3])
+{
+    int64_t other[AXES] = {0}, below[AXES] = {0};
+    double of[AXES];
+    for (int i = 0; i < AXES; i++)
+        of[i] = limit[i % 3];
+    for (size k = 0; k + AXES <= m; k += AXES)
+        for (int i = 0; i < AXES; i++) {
+            double second = fabs((x[k + 6 + i] - x[k + 3 + i]) - (x[k + 3 + i] - x[k + i]));
+            other[i] += second > 0;
+            below[i] += (second > 0) & (second < of[i]);
+        }
+    for (size k = m - m % AXES; k < m; k++) {
+        double second = fabs((x[k + 6] - x[k + 3]) - (x[k + 3] - x[k]));
+        other[k % 3] += second > 0;
+        below[k % 3] += second > 0 && second < limit[k % 3];
+    }
+    for (int i = 0; i < 3; i++) {
+        some[i] = other[i] + other[i + 3] + other[i + 6] + other[i + 9];
+        low[i] = below[i] + below[i + 3] + below[i + 6] + below[i + 9];
+    }
+}
 
 /* value (n, 3), share (1,) of the largest change; block (1,): returns whether in any block of so many samples more than
    a quarter of an axis' second differences that are not zero are smaller than this share */
@@ -112,101 +265,19 @@ static double calm_blocks(size n, Arrays *a)
 {
     const double *value = a->at[0];
     size length = (size)a->at[2][0];
-    double limit[3] = {0};
-    for (size k = 0; k < 3 * (n - 1); k++)
-        limit[k % 3] = larger(limit[k % 3], fabs(value[k + 3] - value[k]));
-    for (size first = 0; first + length <= n; first += length)
-        for (int i = 0; i < 3; i++) {
-            const double *x = value + 3 * first + i;
-            size low = 0, some = 0;
-            for (size k = 0; k < length - 2; k++) {
-                double second = fabs((x[3 * k + 6] - x[3 * k + 3]) - (x[3 * k + 3] - x[3 * k]));
-                some += second > 0;
-                low += second > 0 && second < limit[i] * a->at[1][0];
-            }
-            if (low > some / 4)
+    double limit[3];
+    largest_changes(3 * n, value, limit);
+    for (int i = 0; i < 3; i++)
+        limit[i] *= a->at[1][0];
+    for (size first = 0; first + length <= n; first += length) {
+        int64_t some[3], low[3];
+        count_seconds(3 * (length - 2), value + 3 * first, limit, some, low);
+        for (int i = 0; i < 3; i++)
+            if (low[i] > some[i] / 4)
                 return 1.0;
-        }
+    }
     return 0.0;
 }
 TO_PYTHON(calm_blocks, 3, 0)
-
-static inline uint64_t mixed(uint64_t total, uint64_t part, uint64_t factor)
-{
-    uint64_t own = (part ^ (part >> 32)) * factor;
-    return (total ^ (total >> 29)) * factor + (own ^ (own >> 31));
-}
-
-WIDE_VECTORS static void cells_of(size n, in_t value, double width, const uint64_t *factor, uint64_t *cells)
-{
-    for (size t = 0; t < n; t++) {
-        uint64_t total = 0;
-        for (int i = 0; i < 3; i++)
-            total = mixed(total, (uint64_t)(int64_t)rint(value[3 * t + i] / width), factor[i]);
-        cells[t] = total ^ (total >> 32);
-    }
-}
-
-/* value (n, 3), cell (1,), factors (3,) of uint64; cells (n,) of uint64: `fingerprint._cells` */
-static double hash_cells(size n, Arrays *a)
-{
-    cells_of(n, a->at[0], a->at[1][0], (const uint64_t *)a->at[2], (uint64_t *)a->at[3]);
-    return 0.0;
-}
-TO_PYTHON(hash_cells, 4, 1)
-
-/* again (n,): whether a cell is one of those 2 to `back` before it. */
-WIDE_VECTORS static void returns_to(size n, size back, const uint64_t *cell, uint64_t *again)
-{
-    memset(again, 0, sizeof(uint64_t) * (size_t)n);
-    for (size k = 2; k <= back; k++)
-        for (size t = back; t < n; t++)
-            again[t] |= cell[t] == cell[t - k];
-}
-
-/* Put a value among the `kept` smallest ones, ascending, of which there are `most`; returns how many are kept now. */
-static inline size put_in_order(uint64_t value, uint64_t *smallest, size kept, size most)
-{
-    if (kept == most && value >= smallest[most - 1])
-        return kept;
-    size k = kept < most ? kept : most - 1, now = k + 1;
-    for (; k > 0 && smallest[k - 1] > value; k--)
-        smallest[k] = smallest[k - 1];
-    smallest[k] = value;
-    return now;
-}
-
-/* cells (n,) of uint64, factors (3,) of uint64, rules (4,): run, back, most and bits; hashes (few,) of uint64: the
-   smallest, ascending, of the runs that `fingerprint._kept_runs` keeps. Returns their number. */
-static double hash_runs(size n, Arrays *a)
-{
-    const uint64_t *cell = (const uint64_t *)a->at[0], factor = *(const uint64_t *)a->at[1];
-    size run = (size)a->at[2][0], back = (size)a->at[2][1], kept = 0, returned = 0;
-    size few = entries(a, 3);
-    uint64_t *hash = (uint64_t *)a->at[3], total = 0, power = 1;
-    int bits = (int)a->at[2][3];
-    double *work = room(a, n);
-    if (!work)
-        return 0.0;
-    uint64_t *again = (uint64_t *)work;
-    returns_to(n, back, cell, again);
-    for (size k = 0; k < run; k++)
-        power *= factor;
-    for (size t = n - 1; t >= back; t--) { /* of cells t to t + run − 1, as far as there are so many */
-        total = cell[t] + factor * total;
-        returned += (size)again[t];
-        if (t + run < n) {
-            total -= power * cell[t + run];
-            returned -= (size)again[t + run];
-        }
-        if (t + run <= n && returned <= (size)a->at[2][2]) {
-            uint64_t whole = mixed(0, total, factor);
-            kept = put_in_order((whole ^ (whole >> 32)) >> (64 - bits), hash, kept, few);
-        }
-    }
-    PyMem_RawFree(work);
-    return (double)kept;
-}
-TO_PYTHON(hash_runs, 4, 1)
 
 #endif

@@ -6,7 +6,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.motion import WindowMotion, along_axes
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
-from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.rotations import Array, by_axes
 
 
 def attitude(motion: WindowMotion) -> UnmodelledColumns:
@@ -29,8 +29,7 @@ def flex(motion: WindowMotion) -> UnmodelledColumns:
     """
     felt = vertical(motion)
     felt -= felt.mean(axis=1, keepdims=True)
-    turned = cross(np.eye(3)[:, :, None], motion.reading[:, None])  # e_k × m, (3, k, n)
-    return along_axes(felt, turned.swapaxes(0, 1))
+    return along_axes(felt, by_axes(motion.reading))
 
 
 def vertical(motion: WindowMotion) -> Array:

@@ -22,8 +22,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dsyevd
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
+
+_ONE = np.ones((1, 1))
+_ONE.flags.writeable = False
 
 
 class PrincipalAxes(NamedTuple):
@@ -45,7 +49,7 @@ def principal(normal: Array, score: Array) -> PrincipalAxes:
         if failed:
             raise MagycError("model error: the products of a group of columns are not finite")
     else:
-        value, vector = normal[0], np.ones((1, 1))
+        value, vector = normal[0], _ONE
     return PrincipalAxes(np.maximum(value, 0.0), vector, score @ vector)
 
 
@@ -106,6 +110,12 @@ def log_likelihoods(
     """
     sizes = [len(group.value) for group in groups]
     value, pull = (np.concatenate(each) for each in ([g.value for g in groups], [g.pull for g in groups]))
+    if compiled.loops:
+        result = np.empty(variance.shape), np.empty(variance.shape)
+        count, rules = np.array(sizes, dtype=np.int64), np.array([square, freedom, _ROUNDING * square])
+        inputs = map(compiled.given, (count, value, pull, variance, rules))
+        compiled.loops.log_likelihoods(variance.shape[1], *inputs, *result)
+        return result
     first = np.cumsum([0, *sizes[:-1]])
     spread = 1 + np.repeat(variance, sizes, axis=0) * value[:, None]  # every axis of every group, (K, m)
     explained = np.add.reduceat(pull[:, None] ** 2 / spread, first)

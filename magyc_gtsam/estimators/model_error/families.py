@@ -18,7 +18,7 @@ from magyc_gtsam.estimators.model_error.by_attitude import attitude, tilt
 from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
-from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.rotations import Array, by_axes
 from magyc_gtsam.factors.chain.vech import vech
 
 # Half waves in the recording of the slowest, the slower and the faster variation.
@@ -150,8 +150,7 @@ def _main_axis(vector: Array) -> Array:
 
 def _skew(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a misalignment between the chips, the antisymmetric part of the soft iron."""
-    turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
-    return UnmodelledColumns(np.einsum("ab,bkn->kan", motion.soft_iron, turned), None)
+    return UnmodelledColumns(motion.soft_iron @ by_axes(motion.unit), None)
 
 
 def _speed(motion: WindowMotion) -> UnmodelledColumns:

@@ -12,6 +12,7 @@ from magyc_gtsam.estimators.model_error.turning import aligned, turn_rates
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
+from magyc_gtsam.factors.chain.facts import strength_of
 from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, chained, cross
@@ -88,7 +89,7 @@ class WindowMotion:
             lever=windows.lever,
             reading=parameters[6:9, None] + soft @ unit,
             reading_change=soft @ change,
-            strength=float(np.cbrt(abs(np.linalg.det(soft)))),
+            strength=strength_of(soft),
             soft_iron=soft,
             delay=float(parameters[DELAY]),
             gyroscope_step=median(windows.link_time / apart),

@@ -180,7 +180,8 @@ class _Score(NamedTuple):
 def _score(fit: Fit) -> _Score:
     """Return the score test of one additional column, that of the delay times t − t̄."""
     time = fit.chain.windows.time
-    column = fit.reduced.on_parameters[DELAY] * (time - np.average(time, weights=fit.weights.window))
+    weight = fit.weights.window
+    column = fit.reduced.on_parameters[DELAY] * (time - weight @ time / weight.sum())
     information = max(float(np.vdot(column, column)) - explained(fit, column, fit.covariance), 1e-300)
     sigma = float(np.sqrt(fit.colour * fit.widening / information))
     step = -float(np.vdot(column, fit.whitened[0])) / information

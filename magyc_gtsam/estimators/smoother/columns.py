@@ -23,7 +23,7 @@ class UnmodelledColumns(NamedTuple):
     @classmethod
     def axis_by_axis(cls, window: Array) -> UnmodelledColumns:
         """Return columns of the windows (3q, n) T that act on x, y, z, x, …"""
-        return cls(window, None, np.resize(np.arange(3), len(window)))
+        return cls(window, None, np.arange(len(window)) % 3)
 
     @property
     def size(self) -> int:

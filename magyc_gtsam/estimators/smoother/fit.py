@@ -14,7 +14,7 @@ from magyc_gtsam.estimators.smoother.whitened_fit import Minimum
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.small import solved
+from magyc_gtsam.factors.chain.small import eigenvectors, solved
 from magyc_gtsam.factors.errors import MagycError
 
 MAX_ITERATIONS = 40
@@ -118,8 +118,8 @@ def inverse_information(information: Array, free: np.ndarray, least: float = 1e-
         own = information[kept]
         result[kept] = inverse_information(own, np.ones(len(own), dtype=bool), least)
         return result
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    value, vector = np.linalg.eigh(information * scale * scale[:, None])
+    scale = 1 / np.sqrt(np.maximum(information.diagonal(), 1e-300))
+    value, vector = eigenvectors(information * scale * scale[:, None])
     value = np.maximum(value, least)
     covariance: Array = (vector / value) @ vector.T * scale * scale[:, None]
     return covariance
@@ -140,7 +140,10 @@ def colour_of(residual: Array) -> float:
 def _sum_of_correlations(residual: Array) -> float:
     lags = range(1, min(_SLOW_LAGS, residual.shape[1] - 1) + 1)
     total = float(np.vdot(residual, residual)) * np.sqrt(len(lags) / residual.size)
-    return sum(float(np.vdot(residual[:, lag:], residual[:, :-lag])) for lag in lags) / max(total, 1e-300)
+    apart = np.zeros((len(residual), residual.shape[1] + len(lags)))  # zeros keep the rows apart
+    apart[:, : residual.shape[1]] = residual
+    flat = apart.ravel()
+    return sum(float(flat[lag:] @ flat[:-lag]) for lag in lags) / max(total, 1e-300)
 
 
 def begin(chain: FieldChain, parameters: Array, free: np.ndarray, patience: int = PATIENCE) -> Fit:

@@ -67,7 +67,7 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
         moved = float(
             np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
         )
-        fit = replace(fit, weights=weights)
+        fit = replace(fit, weights=weights) if moved else fit
         noise, left, freedom = fit.chain.noise, 0.0, fit.noise_freedom
         if short_term is not None:
             noise, left, freedom = improved_noise(fit, residuals, short_term)

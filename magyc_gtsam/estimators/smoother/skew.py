@@ -26,7 +26,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.skew_prior import Skew, SkewPrior
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
-from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.rotations import Array, by_axes
 
 _LEAST_SPLIT = 40  # windows of a recording from which its halves are compared
 
@@ -103,9 +103,7 @@ def skew_from_score(fit: Fit, prior: SkewPrior) -> Skew:
     """Return the undecided misalignment estimate of a fit of thirteen parameters, from one group of columns."""
     chain, parameters = fit.chain, fit.state.parameters
     body = np.einsum("ijn,jn->in", chain.rotation(parameters), fit.state.direction)
-    columns = np.einsum(
-        "ij,kjn->kin", iron_matrix(parameters), cross(np.eye(3)[:, :, None], body[:, None]).swapaxes(0, 1)
-    )
+    columns = iron_matrix(parameters) @ by_axes(body)
     beside = fit.beside
     new = beside.of(UnmodelledColumns(columns, None))
     profile = Profile(new.normal, new.score, -beside.move(new), np.zeros(PARAMETERS))

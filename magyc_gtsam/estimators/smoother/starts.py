@@ -58,10 +58,11 @@ def from_gyroscope(windows: FieldWindows) -> Array:
     stride = -(-(len(windows) - lag) // _PAIRS)
     first, last = slice(0, len(windows) - lag, stride), slice(lag, None, stride)
     lever = total[:, :, last] - total[:, :, first]
-    holes = np.concatenate([[0], np.cumsum(~windows.linked)])
-    weight = (holes[last] == holes[first]).astype(float)
-    if not weight.any():
-        weight[:] = 1.0
+    weight = np.ones(lever.shape[2])
+    if not windows.linked.all():
+        holes = np.concatenate([[0], np.cumsum(~windows.linked)])
+        same = holes[last] == holes[first]
+        weight = same.astype(float) if same.any() else weight
 
     parts = (windows.rotation[:, :, first], windows.rotation[:, :, last], lever, turned_back[:, first])
     fields = (windows.field[:, first], windows.field[:, last])

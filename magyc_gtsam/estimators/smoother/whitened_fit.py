@@ -99,8 +99,10 @@ class Estimated:
     def _inverse_root(self) -> Array:
         """(free, free) inverse Cholesky factor of the information matrix scaled by `_scale` on both sides."""
         free, scale = self.free, self._scale
-        information = self.information[np.ix_(free, free)] * scale * scale[:, None]
-        root = np.linalg.cholesky(information + ROUNDING * np.eye(len(scale)))
+        information = self.information if free.all() else self.information[np.ix_(free, free)]
+        scaled = information * scale * scale[:, None]
+        scaled.flat[:: len(scale) + 1] += ROUNDING
+        root = np.linalg.cholesky(scaled)
         result: Array = dtrtri(root, lower=1)[0]
         return result
 
