@@ -152,3 +152,12 @@ def test_a_field_that_varies_closes_the_gap() -> None:
             assert "field-variation" not in {term.name for term in gap.calibration.terms}
             (added,) = (number for number in key_numbers(gap) if number.what == "Effects added")
             assert int(added.value) == len(gap.effects) - 1
+
+
+def test_a_delay_is_estimated_beside_what_is_named() -> None:
+    """At a constant spin a delay turns the field as a misalignment does: fixed at 0, it would be taken for one."""
+    recording = mg.simulate("moderate", 100, seed=2, delay=0.01, effects=[("misalignment", 2.0)]).recording
+    gap = mg.find_gap(recording, candidates=["misalignment"])
+    assert gap.names == ("misalignment",)
+    assert gap.calibration.delay_sigma is not None
+    assert abs(gap.calibration.delay - 0.01) < 3 * gap.calibration.delay_sigma

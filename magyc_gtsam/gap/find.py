@@ -16,6 +16,7 @@ from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.model.refit import widened
+from magyc_gtsam.gap.naming.delay import with_free_delay
 from magyc_gtsam.gap.naming.named import Named, named
 from magyc_gtsam.gap.naming.steps import with_one_jump, without_samples_of_steps
 from magyc_gtsam.gap.outcome.doubt import with_clipped, with_stuck_bit
@@ -134,7 +135,7 @@ def _gap_and_named(
         said = answer(first, short_term, names, ready.discrete)
         report(0.8)
         result = with_one_jump(named(said, first, short_term), short_term)
-        result = without_samples_of_steps(ready.recording, result)
+        result = with_free_delay(without_samples_of_steps(ready.recording, result), short_term)
         gap = gap_of(result, short_term, calibration, names, ready.discrete)
     gap = with_stuck_bit(with_clipped(gap, ready.usable.clipped), ready.usable.bit)
     left_out = [*ready.usable.left_out, *ready.left_out]
