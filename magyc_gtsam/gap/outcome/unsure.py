@@ -25,16 +25,19 @@ def in_brief(unsure: Mapping[str, float]) -> str:
     return next((each for each in brief if len(each.split()) <= MOST_WORDS - _BESIDE), brief[-1])
 
 
-def which(unsure: Mapping[str, float]) -> Manoeuvre:
-    """Return the manoeuvre that shows the most probable effect of the catalogue."""
-    name = next(name for name in unsure if name in TERMS)
+def which(unsure: Mapping[str, float]) -> Manoeuvre | None:
+    """Return the manoeuvre that shows the most probable effect; None if it is not one of the catalogue."""
+    name = next(iter(unsure))
+    if name not in TERMS:
+        return None
     motion = TERMS[name].motion
     return Manoeuvre(tuple(unsure), motion, f"to see whether “{LABELS[name]}” is present: {motion}")
 
 
-def doubt_whether(unsure: Mapping[str, float]) -> Doubt:
-    """Return the doubt about a calibration without named effects."""
-    action = which(unsure).motion
+def doubt_whether(unsure: Mapping[str, float], other: str) -> Doubt:
+    """Return the doubt about a calibration without named effects; `other`: the remedy without such a manoeuvre."""
+    wanted = which(unsure)
+    action = other if wanted is None else wanted.motion
     doubts = [Doubt(_missing(unsure, count), action) for count in (2, 1)]
     return next((doubt for doubt in doubts if len(doubt.sentence.split()) <= MOST_WORDS), doubts[-1])
 
