@@ -11,6 +11,8 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.gap import prepared
 from magyc_gtsam.gap.preparation.discrete import noiseless
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.io import write_mcap
@@ -233,3 +235,15 @@ def test_a_loop_that_forgets_is_a_hysteresis() -> None:
         replace(recording, magnetic_field=field + 1e-6 * np.array([1.2, 1.9, 1.8]) * np.array(loops))
     )
     assert gap.names == ("hysteresis",)
+
+
+def test_noise_that_cannot_measure_a_misfit_is_not_enough(
+    clean: mg.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of readings that were interpolated onto the rows; it was an error about terms, of which there are none."""
+    monkeypatch.setattr(prepared, "short_term_noise", lambda recording: SensorNoise(1e-14, 1e-5))
+    gap = mg.find_gap(clean)
+    assert gap.verdict == "not enough information"
+    assert gap.doubt is not None
+    assert "interpolated onto the rows" in gap.doubt.cause
+    assert not gap.calibration.trusted

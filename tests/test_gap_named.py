@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
-from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.evidence.answer import Answer, answer
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
@@ -84,6 +84,32 @@ def test_something_is_missing_only_where_that_is_probable(looked: Looked) -> Non
     assert "possible" in gap.sentence
 
 
+def test_a_misalignment_that_the_sigmas_hold_is_not_missing(looked: Looked) -> None:
+    """The skew of the chips is estimated beside every model, whether it is named or not."""
+    gap = gap_by(looked, {(("misalignment",), False): 0.75, (("hysteresis",), False): 0.2, ((), False): 0.05})
+    assert gap.verdict == "none"
+    assert gap.doubt is None
+
+
+def test_effects_of_which_one_is_missing_are_listed(looked: Looked) -> None:
+    """They are of the catalogue: it would be false that what is missing is not in it."""
+    listed = {(("hysteresis",), False): 0.6, (("saturation",), False): 0.3, ((), True): 0.1}
+    gap = gap_by(looked, listed)
+    said = "one of “magnetic hysteresis of nearby iron” (60%) and “magnetometer saturation” (30%) is missing"
+    assert gap.verdict == "unknown"
+    assert gap.doubt is not None
+    assert gap.doubt.cause == said
+    assert gap.next_manoeuvre is not None
+    assert gap.next_manoeuvre.motion == gap.doubt.action == TERMS["hysteresis"].motion
+    listed |= {((), True): 0.4, (("saturation",), False): 0.0}
+    assert (
+        "one of “magnetic hysteresis of nearby iron” (60%) and an unknown effect (40%)"
+        in gap_by(looked, listed).sentence
+    )
+    outside = gap_by(looked, {((), True): 0.95, (("hysteresis",), False): 0.05})
+    assert "it is not in the catalogue" in outside.sentence
+
+
 def test_rivals_are_named_together(looked: Looked) -> None:
     """Neither is probable, but one of both is."""
     gap = gap_by(looked, {(("timing",), False): 0.5, (("eddy-plane",), False): 0.45, ((), True): 0.05})
@@ -152,3 +178,12 @@ def test_a_field_that_varies_closes_the_gap() -> None:
             assert "field-variation" not in {term.name for term in gap.calibration.terms}
             (added,) = (number for number in key_numbers(gap) if number.what == "Effects added")
             assert int(added.value) == len(gap.effects) - 1
+
+
+def test_a_delay_is_estimated_beside_what_is_named() -> None:
+    """At a constant spin a delay turns the field as a misalignment does: fixed at 0, it would be taken for one."""
+    recording = mg.simulate("moderate", 100, seed=2, delay=0.01, effects=[("misalignment", 2.0)]).recording
+    gap = mg.find_gap(recording, candidates=["misalignment"])
+    assert gap.names == ("misalignment",)
+    assert gap.calibration.delay_sigma is not None
+    assert abs(gap.calibration.delay - 0.01) < 3 * gap.calibration.delay_sigma

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.decision import UNKNOWN
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
-from magyc_gtsam.gap.outcome.doubt import left_open
+from magyc_gtsam.gap.outcome.doubt import LOG_MORE, left_open
+from magyc_gtsam.gap.outcome.unsure import doubt_whether, in_brief
 from magyc_gtsam.gap.outcome.verdict import manoeuvre
 from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Manoeuvre, Status
 from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
@@ -78,6 +81,15 @@ def test_cause_and_action_are_thirty_words_at_most() -> None:
         for some in ([one], [one] * 3, list(effects.values())):
             gap = replace(closed(), effects=tuple(some))
             assert len(judged_gap(gap).reason.split()) <= MOST_WORDS
+
+
+def test_doubts_about_several_effects_are_thirty_words_at_most() -> None:
+    for first, second in permutations(TERMS, 2):
+        unsure = {first: 0.64, second: 0.15, UNKNOWN: 0.1}
+        doubts = [doubt_whether(unsure, LOG_MORE), doubt_whether({UNKNOWN: 0.7, first: 0.2}, LOG_MORE)]
+        doubts += [left_open((effect(first),) * n, (), in_brief(unsure), None) for n in (1, 2)]
+        assert all(len(doubt.sentence.split()) <= MOST_WORDS for doubt in doubts), doubts
+        assert all(LABELS[first] in doubt.cause for doubt in doubts)
 
 
 def effect(name: str) -> Effect:

@@ -16,12 +16,14 @@ from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.model.refit import widened
+from magyc_gtsam.gap.model.root import TooSmoothError
+from magyc_gtsam.gap.naming.delay import with_free_delay
 from magyc_gtsam.gap.naming.named import Named, named
 from magyc_gtsam.gap.naming.steps import without_samples_of_steps
 from magyc_gtsam.gap.outcome.doubt import with_clipped, with_stuck_bit
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.prepared import Prepared
-from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.samples.fine import First
 from magyc_gtsam.gap.simulated import SimulatedGap, compare
 from magyc_gtsam.recording import Recording
@@ -125,20 +127,31 @@ def _gap_and_named(
     ready = Prepared.of(recording, names, calibration)
     base, short_term = ready.base, ready.short_term
     report(0.2)
-    reasons = ready.untestable()
-    result: Named | None = None
-    if reasons is not None:
-        gap = nothing_tested(base, *reasons, calibration)
+    searched = _searched(ready, names)
+    report(0.8)
+    result = searched if isinstance(searched, Named) else None
+    if isinstance(searched, Named):
+        gap = gap_of(searched, short_term, calibration, names, ready.discrete)
     else:
-        first = First(ready.recording, base)
-        said = answer(first, short_term, names, ready.discrete)
-        report(0.8)
-        result = without_samples_of_steps(ready.recording, named(said, first, short_term))
-        gap = gap_of(result, short_term, calibration, names, ready.discrete)
+        gap = nothing_tested(base, *searched, calibration)
     gap = with_stuck_bit(with_clipped(gap, ready.usable.clipped), ready.usable.bit)
     left_out = [*ready.usable.left_out, *ready.left_out]
     run = {"seconds": clock.perf_counter() - started, "left_out": left_out}
     return replace(gap, diagnostics={**gap.diagnostics, **run}), result
+
+
+def _searched(ready: Prepared, names: tuple[str, ...]) -> Named | tuple[str, Doubt]:
+    """Return what is named in a recording, or why nothing can be, in full and in few words with a remedy."""
+    reasons = ready.untestable()
+    if reasons is not None:
+        return reasons
+    first = First(ready.recording, ready.base)
+    try:
+        said = answer(first, ready.short_term, names, ready.discrete)
+    except TooSmoothError:
+        return ready.too_smooth()
+    result = without_samples_of_steps(ready.recording, named(said, first, ready.short_term))
+    return with_free_delay(result, ready.short_term)
 
 
 def _check_types(recording: Recording, calibration: object, simulated: Recording | None) -> None:

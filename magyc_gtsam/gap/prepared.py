@@ -22,6 +22,7 @@ from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import Usable, without_faults
 
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
+_LOG_SAMPLES = "log its own samples with their times, or give the rows in which it is new"
 _SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
 
 
@@ -73,6 +74,15 @@ class Prepared:
             silence = f"the magnetometer has no measurable noise (under {RULES.noiseless * 1e9:.2g} nT)"
             return f"{silence}: {_SILENT}", Doubt(silence, _ADD_NOISE)
         return None
+
+    def too_smooth(self) -> tuple[str, Doubt]:
+        """Return the same where the noise from row to row cannot measure the misfit."""
+        noise, misfit = self.short_term.magnetometer * 1e9, self.base.model.noise.magnetometer * 1e9
+        why = (
+            f"the magnetometer's noise from row to row ({noise:.1g} nT) is too small to measure a misfit of "
+            f"{misfit:.0f} nT with, as that of readings that were interpolated onto the rows"
+        )
+        return why, Doubt("the magnetometer's readings seem to be interpolated onto the rows", _LOG_SAMPLES)
 
     def _determined(self) -> Observability:
         """Return what the motion determines at the noise of the sensors alone, without the misfit of an effect."""

@@ -89,7 +89,7 @@ MISALIGNMENT = EffectTerm(
     physics=(
         "The chips of the two sensors, or the boards that they are on, are mounted at an angle of 0.3 to 3° "
         "to each other. The gyroscope then states the turn in other axes than the magnetometer. A motion "
-        "about one axis cannot distinguish it from errors of the gyroscope's scale."
+        "about one axis cannot distinguish it from errors of the gyroscope's scale, a constant spin not from a delay."
     ),
     unit="mrad",
     matters=5e-3,

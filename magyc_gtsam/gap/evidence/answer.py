@@ -25,7 +25,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.problem import Model, Problem
-from magyc_gtsam.gap.model.refit import refit
+from magyc_gtsam.gap.model.root import root
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.samples.coarse import unrounded
 from magyc_gtsam.gap.samples.fine import First, fine_innovations
@@ -63,6 +63,9 @@ def answer(
         short_term: noise of the sensors between neighbouring samples.
         names: candidates.
         settled: tests of the effects that were corrected before.
+
+    Raises:
+        TooSmoothError: the noise from sample to sample cannot measure the misfit.
     """
     allowed = tuple(name for name in names if name in TERMS or name == COLOUR)
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
@@ -82,7 +85,7 @@ def answer(
         problem = problem_of(recording)
     tree: Tree | None = None
     for turn in range(_ROUNDS):
-        start = refit(problem, _bare(base.model, level), None)
+        start = root(problem, _bare(base.model, level))
         tree = Tree(start, allowed, base.model.terms, tree)
         before, model = recording, tree.best.fit.model
         if stepped and not turn:  # once more, with a better model

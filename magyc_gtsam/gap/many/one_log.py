@@ -23,6 +23,7 @@ from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
+from magyc_gtsam.gap.model.root import TooSmoothError, root
 from magyc_gtsam.gap.prepared import Prepared
 from magyc_gtsam.gap.samples.fine import fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation
@@ -112,7 +113,10 @@ class OneLog:
         white = fine_innovations(data, base.model).white
         if quantisation(data, white).significant:  # steps hide the noise between neighbouring samples
             short_term = short_term._replace(magnetometer=max(short_term.magnetometer, white))
-        start = refit(base.twin.problem, replace(base.model, noise=short_term), None)
+        try:
+            start = root(base.twin.problem, replace(base.model, noise=short_term))
+        except TooSmoothError:
+            raise MagycError(ready.too_smooth()[0]) from None
         return cls(name, data, short_term, start, discrete=ready.discrete)
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
-from magyc_gtsam.gap.evidence.decision import marginals
+from magyc_gtsam.gap.evidence.decision import UNKNOWN, marginals
 from magyc_gtsam.gap.evidence.neighbours import product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.posterior import Set
@@ -33,6 +33,7 @@ from magyc_gtsam.gap.samples.fine import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
 
+_EXPLAIN = {*TERMS, FIELD_VARIATION}  # names that explain a misfit; others describe the noise
 CLOCK_DRIFT = "clock-drift"  # of the two sensors: not an effect of the catalogue, but detected and reported
 
 
@@ -66,6 +67,8 @@ class Named:
         leftover: names of what else is present: the most probable family without a physical meaning, and drifting
             clocks.
         probabilities: the posterior's, of all names.
+        unsure: {name or `UNKNOWN`: probability} of what may be present beside them, the most probable first; empty if
+            nothing is missing, or if it is probable enough that it is outside the catalogue.
     """
 
     recording: Recording
@@ -75,6 +78,7 @@ class Named:
     found: tuple[Found, ...]
     leftover: tuple[str, ...]
     probabilities: Mapping[str, float]
+    unsure: Mapping[str, float] = field(default_factory=dict)
 
 
 def as_found(score: NoiseScore, rivals: tuple[str, ...] = ()) -> Found:
@@ -107,11 +111,15 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
         *_noise(said, first, fitted, stated),
         *_varying(said.tree.best, stated),
     ]
-    there = {one.name: rivals.get(one.name, ()) for one in found}
-    left = _family(said.tree) if _unnamed(posterior, there, given) > PRIOR.missing_from else ()
+    told = {*given, *(name for one in found for name in (one.name, *rivals.get(one.name, ())))}
+    told |= _held(told)
+    of_catalogue, outside = _unnamed(posterior, told)
+    left = _family(said.tree) if of_catalogue + outside > PRIOR.missing_from else ()
+    absent = {n: p for n, p in stated.items() if n in {*_EXPLAIN, UNKNOWN} - told and p > PRIOR.improbable}
+    unsure = absent if left and outside <= PRIOR.missing_from and absent.keys() & TERMS.keys() else {}
     if _drift_apart(fitted) or (left and "timing" not in rivals and _drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
-    return Named(said.recording, first, said.tree, fitted, tuple(found), left, stated)
+    return Named(said.recording, first, said.tree, fitted, tuple(found), left, stated, unsure)
 
 
 def _probable(posterior: Mapping[Set, float], stated: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
@@ -141,15 +149,21 @@ def _any_of(posterior: Mapping[Set, float], wanted: AbstractSet[str]) -> float:
     return sum(p for (names, _), p in posterior.items() if not wanted.isdisjoint(names))
 
 
-def _unnamed(posterior: Mapping[Set, float], rivals: Mapping[str, Sequence[str]], given: Sequence[str]) -> float:
-    """Return the probability that an effect is present that is neither named, nor a rival, nor given."""
-    said = {*given, *rivals, *(name for more in rivals.values() for name in more)}
-    explain = {*TERMS, FIELD_VARIATION}
-    result = 0.0
-    for (names, unknown), p in posterior.items():
-        if unknown or any(name in explain and name not in said for name in names):
-            result += p
-    return result
+def _held(told: AbstractSet[str]) -> set[str]:
+    """Return the effects that the covariance of the result allows for, named or not.
+
+    The misalignment of the chips is estimated beside every model, the delay beside every model with an effect.
+    """
+    return {"misalignment", "timing"} if told & TERMS.keys() else {"misalignment"}
+
+
+def _unnamed(posterior: Mapping[Set, float], told: AbstractSet[str]) -> tuple[float, float]:
+    """Return the probability that something is present that is not told: of the catalogue alone, and unknown."""
+    absent = _EXPLAIN - told
+    of_catalogue = sum(
+        p for (names, unknown), p in posterior.items() if not unknown and absent.intersection(names)
+    )
+    return of_catalogue, sum(p for (_, unknown), p in posterior.items() if unknown)
 
 
 def _fitted(

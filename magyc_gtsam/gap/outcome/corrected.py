@@ -25,14 +25,14 @@ def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Ter
     for index, term in enumerate(model.terms):
         value, spread = result.value_of(index)
         terms.append(Term(term.name, value, spread, term.setting))
-    late = [t for t in terms if t.name == "timing"]
+    late = np.flatnonzero(np.flatnonzero(model.free) == DELAY)  # free without a timing, too
     return Calibration(
         soft_iron,
         parameters[6:9],
         parameters[9:12],
         covariance=reported,
         delay=float(parameters[DELAY]),
-        delay_sigma=float(late[0].sigma[0]) if late else None,
+        delay_sigma=float(np.sqrt(result.covariance[late[0], late[0]])) if len(late) else None,
         terms=(*terms, *extra),
         converged=result.converged,
         message="converged" if result.converged else "the joint refit did not converge",

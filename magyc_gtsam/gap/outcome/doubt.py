@@ -12,7 +12,7 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 from magyc_gtsam.sensor_faults.stuck_bit import StuckBit
 
-_LOG_MORE = "log current, temperature and depth"
+LOG_MORE = "log current, temperature and depth"
 APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"
 APART_IN_BRIEF = Doubt("the clocks of the two sensors drift apart", "run `mg.calibrate`, which follows the drift")
 _WITHOUT = "choose an interval without the jumps (start=, end=)"
@@ -81,15 +81,15 @@ def left_open(
     """
     if missing:
         if not effects:
-            return Doubt(missing, _LOG_MORE)
+            return Doubt(missing, LOG_MORE)
         jumps = [f"{e.setting['time']:.0f} s" for e in effects if e.name == "hard-iron-step"]
         if jumps:
             return _shortest(missing, (f"jumps at {' and '.join(jumps)}", f"{len(jumps)} jumps"), _WITHOUT)
         labels = [effect.label for effect in effects]
-        return _shortest(missing, (_named(labels), f"{len(labels)} effects"), _LOG_MORE)
+        return _shortest(missing, (_named(labels), f"{len(labels)} effects"), LOG_MORE)
     verb = "is" if len(uncorrected) == 1 else "are"
     cause = f"{_named([effects[place].label for place in sorted(uncorrected)])} {verb} not corrected"
-    return Doubt(cause, _LOG_MORE if manoeuvre is None else manoeuvre.motion)
+    return Doubt(cause, LOG_MORE if manoeuvre is None else manoeuvre.motion)
 
 
 def _shortest(missing: str, beside: Sequence[str], action: str) -> Doubt:

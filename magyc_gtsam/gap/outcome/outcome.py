@@ -17,12 +17,13 @@ from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, wide
 from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found, Named, as_found, term_places
 from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
 from magyc_gtsam.gap.outcome.described import describe
-from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, doubted, left_open, remedy, with_doubt
+from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, LOG_MORE, doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
 from magyc_gtsam.gap.outcome.moved import against, contradiction, moved
-from magyc_gtsam.gap.outcome.verdict import among, manoeuvre, place_of, sentence_of, unseen, verdict
+from magyc_gtsam.gap.outcome.unsure import doubt_whether, in_brief, which
+from magyc_gtsam.gap.outcome.verdict import absent, among, manoeuvre, place_of, sentence_of, unseen, verdict
 from magyc_gtsam.gap.outcome.worth import pays
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Moved, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
@@ -102,7 +103,8 @@ def gap_of(
         shifted = moved(plainly, used)
     untested = _untested(names, base)
     tested = hypotheses(result, names, found, word, discrete)
-    sentence = sentence_of(word, effects, result.leftover, base.twin, among(names))
+    absence = absent(result.leftover, result.unsure, base.twin, among(names))
+    sentence = sentence_of(word, effects, absence)
     if word == "none":
         given = [] if calibration is None else [term.name for term in calibration.terms]
         if calibration is not None and calibration.delay:
@@ -112,6 +114,8 @@ def gap_of(
     if contradicted and word == "none":
         word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
     wanted = manoeuvre(tested, result.fitted.twin, found, result.leftover, open_places)
+    if result.unsure and wanted is not None and not wanted.separates:
+        wanted = which(result.unsure) or wanted
     gap = Gap(
         verdict=word,
         sentence=contradiction(contradicted) + sentence,
@@ -134,7 +138,10 @@ def gap_of(
         return replace(gap, doubt=untrusted, next_manoeuvre=remedy(untrusted, "to trust the calibration"))
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
+    if result.unsure and not effects:
+        return with_doubt(gap, doubt_whether(result.unsure, LOG_MORE))
     missing = place_of(result.leftover, base.twin) if result.leftover else ""
+    missing = in_brief(result.unsure) if result.unsure else missing
     return with_doubt(gap, left_open(effects, list(open_places), missing, wanted))
 
 

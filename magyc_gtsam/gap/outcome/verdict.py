@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from magyc_gtsam.gap.effects import LABELS, MOMENTS, NAMES, TERMS
 from magyc_gtsam.gap.evidence.generic import families
@@ -12,6 +12,7 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES, sentences
 from magyc_gtsam.gap.outcome.doubt import APART
+from magyc_gtsam.gap.outcome.unsure import one_of
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
 
@@ -34,20 +35,17 @@ def verdict(found: Sequence[Found], left: Sequence[str], uncorrected: Collection
     return "open" if uncorrected else "closed"
 
 
-def sentence_of(word: Verdict, effects: Sequence[Effect], left: Sequence[str], twin: Twin, catalogue: str) -> str:
+def sentence_of(word: Verdict, effects: Sequence[Effect], where: str) -> str:
     """Return the verdict in one sentence for a navigator.
 
     Args:
         word: the verdict.
         effects: effects that were found.
-        left: names of what is present beside them.
-        twin: of the recording.
-        catalogue: the set of candidates, in words.
+        where: what is missing beside them, in words; "" if nothing is.
     """
     if word == "none":
         return "the model and the data agree"
-    if left:
-        where = _place(left, twin, catalogue)
+    if where:
         firm = "; ".join(effect.sentence for effect in effects if effect.name in _FIRM)
         return f"{firm}; beside that, {where}" if word == "open" else f"{where}; nothing was changed"
     # Effects that change the heading come before effects on the noise.
@@ -104,10 +102,21 @@ def missing(name: str, place: str) -> str:
     return "an effect that follows no logged variable is missing"
 
 
-def _place(left: Sequence[str], twin: Twin, catalogue: str) -> str:
-    """Return the same with the reason why it has no name."""
+def absent(left: Sequence[str], unsure: Mapping[str, float], twin: Twin, catalogue: str) -> str:
+    """Return what is missing with the reason why it has no name, in words; "" if nothing is.
+
+    Args:
+        left: names of what is present beside the named effects.
+        unsure: {name: probability} of effects of the catalogue of which one is probably present.
+        twin: of the recording.
+        catalogue: the set of candidates, in words.
+    """
+    if not left:
+        return ""
     if CLOCK_DRIFT in left:
         return APART
+    if unsure:
+        return one_of(unsure)
     where = place_of(left, twin)
     return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
 

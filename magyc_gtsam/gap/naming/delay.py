@@ -1,0 +1,34 @@
+"""The delay of the magnetometer, which the calibration estimates although the posterior does not name it.
+
+At a constant spin a delay is a rotation about its axis, as a misalignment is. Fixed at 0, it would be taken for one of
+the named effects with sigmas that do not hold. `calibrate` estimates it in any case, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.model.refit import refit
+from magyc_gtsam.gap.naming.named import Named
+
+_DELAY = "timing"
+
+
+def with_free_delay(result: Named, short_term: SensorNoise) -> Named:
+    """Return the named effects with a free delay in their model, unless an effect in it contains the delay.
+
+    Without any effect the model remains the one without a delay: the misalignment that is then estimated beside it
+    includes the rotation by a delay.
+    """
+    model = result.fitted.model
+    if not model.terms or any(_contains_delay(term.name) for term in model.terms):
+        return result
+    free = model.free.copy()
+    free[DELAY] = True
+    return replace(result, fitted=refit(result.fitted.twin.problem, replace(model, free=free), short_term))
+
+
+def _contains_delay(name: str) -> bool:
+    return name == _DELAY or any(_contains_delay(special) for special in TERMS[name].contains)

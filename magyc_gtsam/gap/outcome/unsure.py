@@ -1,0 +1,55 @@
+"""What may be missing if something certainly is, though no effect is probable enough to be named: in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from magyc_gtsam.foreign_text import MOST_WORDS
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.decision import UNKNOWN
+from magyc_gtsam.gap.outcome.described import FIELD_VARIES
+from magyc_gtsam.gap.result import Doubt, Manoeuvre
+
+_SPELLED = 3  # effects that a sentence lists
+_BESIDE = 11  # words of a doubt beside what is missing: the effects that were named, and the remedy
+
+
+def one_of(unsure: Mapping[str, float]) -> str:
+    """Return that one of {effect of the catalogue or `UNKNOWN`: probability} is missing."""
+    return f"{_missing(unsure, _SPELLED)}, but none is probable enough to be named"
+
+
+def in_brief(unsure: Mapping[str, float]) -> str:
+    """Return the same in few words, beside effects that are named."""
+    brief = [_missing(unsure, count) for count in (2, 1)]
+    return next((each for each in brief if len(each.split()) <= MOST_WORDS - _BESIDE), brief[-1])
+
+
+def which(unsure: Mapping[str, float]) -> Manoeuvre | None:
+    """Return the manoeuvre that shows the most probable effect; None if it is not one of the catalogue."""
+    name = next(iter(unsure))
+    if name not in TERMS:
+        return None
+    motion = TERMS[name].motion
+    return Manoeuvre(tuple(unsure), motion, f"to see whether “{LABELS[name]}” is present: {motion}")
+
+
+def doubt_whether(unsure: Mapping[str, float], other: str) -> Doubt:
+    """Return the doubt about a calibration without named effects; `other`: the remedy without such a manoeuvre."""
+    wanted = which(unsure)
+    action = other if wanted is None else wanted.motion
+    doubts = [Doubt(_missing(unsure, count), action) for count in (2, 1)]
+    return next((doubt for doubt in doubts if len(doubt.sentence.split()) <= MOST_WORDS), doubts[-1])
+
+
+def _missing(unsure: Mapping[str, float], count: int) -> str:
+    said = {name: _said(name, probability) for name, probability in unsure.items()}
+    if len(said) == 1 or count == 1:  # the first that has a name
+        return f"{next(words for name, words in said.items() if name != UNKNOWN)} or another effect is missing"
+    spelled = list(said.values())[:count]
+    return f"one of {', '.join(spelled[:-1])} and {spelled[-1]} is missing"
+
+
+def _said(name: str, probability: float) -> str:
+    label = "an unknown effect" if name == UNKNOWN else f"“{LABELS.get(name, FIELD_VARIES)}”"
+    return f"{label} ({probability:.0%})"
