@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -50,6 +52,17 @@ def test_neighbours_are_products(twin: Twin) -> None:
     assert neighbours("tone", {"frequency": 1.0}) == []
     assert product_of("timing×speed") == "timing"
     assert product_of("rate×field") is product_of("timing") is None
+
+
+def test_a_scale_that_drifts_is_no_bias_that_drifts() -> None:
+    """Its error is the product of a drift and the rate of turn."""
+    recording = mg.simulate("moderate", 120, seed=2).recording
+    assert recording.angular_rate is not None
+    scale = 1 + np.linspace(-0.05, 0.05, len(recording.time))
+    drifting = replace(recording, angular_rate=recording.angular_rate * scale[:, None])
+    gap = mg.find_gap(drifting, candidates=["gyro-bias-drift", "gyro-bias-step"])
+    assert gap.names == ()
+    assert gap.verdict == "unknown"
 
 
 def test_noise_is_found_from_its_level_on() -> None:

@@ -123,6 +123,7 @@ BIAS_STEP = EffectTerm(
     motion="rest for some seconds before and after the moment in question",
     settings=step_times,
     refined=step_nearby,
+    products=("rate",),
 )
 BIAS_DRIFT = EffectTerm(
     name="gyro-bias-drift",
@@ -138,6 +139,7 @@ BIAS_DRIFT = EffectTerm(
     say=_say_drift,
     motion="rest for some seconds now and then, and log the temperature",
     settings=drifts,
+    products=("rate",),
 )
 G_SENSITIVITY = EffectTerm(
     name="g-sensitivity",
