@@ -11,6 +11,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import cross, exponential_matrices
+from magyc_gtsam.factors.chain.small import inverse
 from magyc_gtsam.factors.chain.vech import UPPER
 from magyc_gtsam.recording import Array, Recording
 
@@ -126,7 +127,7 @@ class LevelTurn:
 
     def _gain(self, soft_iron: Array) -> Array:
         """Return the derivative (n, 3) rad/T of heading with respect to the measured field."""
-        return cast(Array, self._across @ np.linalg.inv(soft_iron))
+        return self._across @ inverse(soft_iron)
 
     @cached_property
     def turned(self) -> Array:
@@ -194,7 +195,7 @@ def _swept_about(field: Array) -> Array | None:
 
 def calibrated(field: Array, soft_iron: Array, hard_iron: Array) -> Array:
     """Return the calibrated field soft_iron⁻¹ (field − hard_iron), (n, 3) T."""
-    return cast(Array, (field - hard_iron) @ np.linalg.inv(soft_iron).T)
+    return cast(Array, (field - hard_iron) @ inverse(soft_iron).T)
 
 
 def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None:

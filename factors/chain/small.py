@@ -1,4 +1,4 @@
-"""Solutions of small linear systems and eigenvectors, without the overhead of `np.linalg`, which exceeds their cost."""
+"""Linear algebra of small matrices, without the overhead of `np.linalg`, which exceeds its cost."""
 
 from __future__ import annotations
 
@@ -17,6 +17,18 @@ def solved(matrix: Array, right: Array) -> Array:
     if not len(right):
         return right
     _, _, result, failed = dgesv(matrix, right)
+    if failed:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return np.asarray(result)
+
+
+def inverse(matrix: Array) -> Array:
+    """Return the inverse of a matrix (k, k).
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is singular.
+    """
+    _, _, result, failed = dgesv(matrix, np.eye(len(matrix)))
     if failed:
         raise np.linalg.LinAlgError("Singular matrix")
     return np.asarray(result)

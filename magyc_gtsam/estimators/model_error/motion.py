@@ -101,7 +101,7 @@ class WindowMotion:
     @property
     def hard_iron(self) -> Array:
         """(3,) T."""
-        return (self.reading - self.soft_iron @ self.unit)[:, 0]
+        return np.asarray(self.reading[:, 0] - self.soft_iron @ self.unit[:, 0])
 
     @property
     def along_links(self) -> WindowMotion:
@@ -162,7 +162,13 @@ class WindowMotion:
     @cached_property
     def spread(self) -> float:
         """rad/s, root mean square of the rate of turn per axis."""
-        return max(float(np.sqrt(np.mean(self.rate**2))), ALIKE)
+        return max(root_mean_square(self.rate), ALIKE)
+
+    @cached_property
+    def since_mean(self) -> Array:
+        """(n,) time since its mean over the windows, relative to that at the end of the recording."""
+        since = self.time - self.time.mean()
+        return np.asarray(since / since[-1])
 
     @cached_property
     def relative(self) -> Array:
@@ -270,6 +276,11 @@ class WindowMotion:
     def _waves(self, first: int, stop: int) -> Array:
         share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
         return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)
+
+
+def root_mean_square(values: Array) -> float:
+    """Return the root of the mean square of all values."""
+    return float(np.sqrt(np.vdot(values, values) / values.size))
 
 
 def along_axes(profiles: Array, axes: Array) -> UnmodelledColumns:
