@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dsyevd
+from scipy.linalg.lapack import dgesdd, dgesv, dsyevd
 
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -43,4 +43,16 @@ def eigenvectors(matrix: Array) -> tuple[Array, Array]:
     value, vector, failed = dsyevd(matrix, lower=1)
     if failed:
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
+    return value, vector
+
+
+def singular_vectors(matrix: Array) -> tuple[Array, Array]:
+    """Return the descending singular values (k,) of a matrix (k, k), and its right singular vectors as rows.
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is not finite.
+    """
+    _, value, vector, failed = dgesdd(matrix)
+    if failed:
+        raise np.linalg.LinAlgError("Singular values did not converge")
     return value, vector

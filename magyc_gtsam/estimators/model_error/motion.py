@@ -233,9 +233,11 @@ class WindowMotion:
     @cached_property
     def _gyroscope_matrix(self) -> Array:
         """Columns (6, 3, links) of a symmetric error of the gyroscope's matrix: xx, yy, zz, xy, xz, yz."""
-        first, second = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-        turned = self.rate[first, None] * self.rotation[second]
-        turned[3:] += self.rate[second[3:], None] * self.rotation[first[3:]]
+        turned = np.empty((6, *self.rotation.shape[1:]))
+        np.multiply(self.rate[:, None], self.rotation, out=turned[:3])
+        for both, (i, j) in zip(turned[3:], ((0, 1), (0, 2), (1, 2)), strict=True):
+            np.multiply(self.rate[i], self.rotation[j], out=both)
+            both += self.rate[j] * self.rotation[i]
         return self._links(turned)
 
     def _links(self, turned: Array) -> Array:
@@ -275,7 +277,15 @@ class WindowMotion:
 
     def _waves(self, first: int, stop: int) -> Array:
         share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
-        return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)
+        result = np.empty((max(stop, 2), len(share)))
+        result[0] = np.sqrt(2)
+        slowest = np.cos(np.pi * share)
+        np.multiply(result[0], slowest, out=result[1])
+        slowest *= 2
+        for k in range(2, stop):  # cos kφ = 2 cos φ cos (k − 1)φ − cos (k − 2)φ
+            np.multiply(slowest, result[k - 1], out=result[k])
+            result[k] -= result[k - 2]
+        return result[first:stop]
 
 
 def root_mean_square(values: Array) -> float:
