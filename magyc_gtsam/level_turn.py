@@ -25,6 +25,7 @@ TILT = 20.0  # deg, of a vehicle that is not level
 _STEPS = 120  # number of headings of a turn
 _HEADING = np.linspace(0.0, 360.0, _STEPS + 1)
 _HEADING.flags.writeable = False
+_COSINE, _SINE = np.cos(np.radians(_HEADING))[:, None], np.sin(np.radians(_HEADING))[:, None]
 
 
 class MisalignmentError(NamedTuple):
@@ -174,8 +175,7 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
     ahead = ahead - axis * (axis @ ahead)
     ahead /= np.linalg.norm(ahead)
     left = cross(axis, ahead)
-    angle = np.radians(_HEADING)[:, None]
-    horizontal = np.cos(angle) * ahead + np.sin(angle) * left
+    horizontal = _COSINE * ahead + _SINE * left
     sine, cosine = np.sin(np.radians(dip)), np.cos(np.radians(dip))
     return LevelTurn(_HEADING, strength * (cosine * horizontal - sine * axis), ahead, left, dip, about)
 

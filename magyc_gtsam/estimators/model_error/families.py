@@ -35,6 +35,9 @@ SELDOM = 0.02  # a field gradient with a lever arm, which hardly moves the param
 GENERAL = 2.5e-3  # effects without a specific cause: with so many families some gain 6 nats by chance
 
 
+_SHOWN = {"field": (1e6, "µT"), "rate": (1e3, "mrad/s"), "share": (1e2, "%"), "angle": (180 / np.pi, "°")}
+
+
 @dataclass(frozen=True)
 class ColumnFamily:
     """A group of columns with one amplitude.
@@ -108,14 +111,8 @@ class ColumnFamily:
 
     def sentence(self, size: float, period: float | None) -> str:
         """Return a sentence on what it acts on and its size."""
-        scale, unit = {
-            "field": (1e6, "µT"),
-            "rate": (1e3, "mrad/s"),
-            "share": (1e2, "%"),
-            "angle": (np.degrees(1), "°"),
-        }.get(self.unit, (1e3, "ms"))
-        shown = f"{scale * size:.2g} {unit}"
-        return self.place.format(shown)
+        scale, unit = _SHOWN.get(self.unit, (1e3, "ms"))
+        return self.place.format(f"{scale * size:.2g} {unit}")
 
 
 def _second(vector: Array) -> Array:
