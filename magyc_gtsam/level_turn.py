@@ -11,6 +11,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import cross, exponential_matrices
+from magyc_gtsam.factors.chain.small import inverse
 from magyc_gtsam.factors.chain.vech import UPPER
 from magyc_gtsam.recording import Array, Recording
 
@@ -24,6 +25,7 @@ TILT = 20.0  # deg, of a vehicle that is not level
 _STEPS = 120  # number of headings of a turn
 _HEADING = np.linspace(0.0, 360.0, _STEPS + 1)
 _HEADING.flags.writeable = False
+_COSINE, _SINE = np.cos(np.radians(_HEADING))[:, None], np.sin(np.radians(_HEADING))[:, None]
 
 
 class MisalignmentError(NamedTuple):
@@ -126,7 +128,7 @@ class LevelTurn:
 
     def _gain(self, soft_iron: Array) -> Array:
         """Return the derivative (n, 3) rad/T of heading with respect to the measured field."""
-        return cast(Array, self._across @ np.linalg.inv(soft_iron))
+        return self._across @ inverse(soft_iron)
 
     @cached_property
     def turned(self) -> Array:
@@ -173,8 +175,7 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
     ahead = ahead - axis * (axis @ ahead)
     ahead /= np.linalg.norm(ahead)
     left = cross(axis, ahead)
-    angle = np.radians(_HEADING)[:, None]
-    horizontal = np.cos(angle) * ahead + np.sin(angle) * left
+    horizontal = _COSINE * ahead + _SINE * left
     sine, cosine = np.sin(np.radians(dip)), np.cos(np.radians(dip))
     return LevelTurn(_HEADING, strength * (cosine * horizontal - sine * axis), ahead, left, dip, about)
 
@@ -194,7 +195,7 @@ def _swept_about(field: Array) -> Array | None:
 
 def calibrated(field: Array, soft_iron: Array, hard_iron: Array) -> Array:
     """Return the calibrated field soft_iron⁻¹ (field − hard_iron), (n, 3) T."""
-    return cast(Array, (field - hard_iron) @ np.linalg.inv(soft_iron).T)
+    return cast(Array, (field - hard_iron) @ inverse(soft_iron).T)
 
 
 def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None:

@@ -276,11 +276,6 @@ static double follow(size n, Arrays *a)
 }
 TO_PYTHON(follow, 3, 1)
 
-/* time (n,), rate (n, 3), bias (3,); result (3, n − 1): as `rotations.increments`, n > 3. Returns the number of steps
-   that are much longer or shorter than one beside them, where the result is another. */
-static double increments(size n, Arrays *a) { return turns_between(n, a->at[0], a->at[1], a->at[2], a->at[3]); }
-TO_PYTHON(increments, 4, 1)
-
 static PyMethodDef methods[] = {
     METHOD(forward), METHOD(backward), METHOD(linearise), METHOD(eliminate),   METHOD(absorbed),
     METHOD(move),    METHOD(rotate),   METHOD(turn),      METHOD(whiten),      METHOD(score),

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import inverse
 from magyc_gtsam.factors.chain.vech import MULTIPLICITY, unvech, vech
 
 
@@ -96,7 +97,7 @@ def field_strength(soft_iron: Array) -> tuple[float, Array]:
     """Return ∛|det S| of vech(S) (6,), and its derivative (6,): d∛det S = ∛det S / 3 · tr(S⁻¹ dS)."""
     matrix = unvech(soft_iron)
     strength = strength_of(matrix)
-    return strength, strength / 3 * vech(np.linalg.inv(matrix)) * MULTIPLICITY
+    return strength, strength / 3 * vech(inverse(matrix)) * MULTIPLICITY
 
 
 def strength_of(iron: Array) -> float:

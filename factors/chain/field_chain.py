@@ -39,6 +39,7 @@ from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.linearisation import Linearised
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import inverse
 from magyc_gtsam.factors.errors import MagycError
 
 _SETTLING = 20  # largest number of Gauss–Newton steps of the directions alone
@@ -107,7 +108,7 @@ class FieldChain:
 
         A window whose field equals the hard iron has no direction of its own and starts along x.
         """
-        body = np.linalg.inv(iron_matrix(parameters)) @ (self.windows.field - parameters[6:9, None])
+        body = inverse(iron_matrix(parameters)) @ (self.windows.field - parameters[6:9, None])
         body[0] += ~body.any(axis=0)
         g = np.einsum("ijn,in->jn", self.rotation(parameters), body)
         return ChainState(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))

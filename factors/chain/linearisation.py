@@ -26,6 +26,8 @@ from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array, cross, right_jacobian, skew
 
 _BIAS = slice(9, 12)
+_ALIGNED = np.eye(3)
+_ALIGNED.flags.writeable = False
 
 
 class Linearised(NamedTuple):
@@ -92,7 +94,7 @@ class Eliminated(NamedTuple):
 def _compiled(windows: FieldWindows, state: ChainState, sight: DirectionModel) -> Linearised:
     parameters, g = state
     p, n = len(parameters), g.shape[1]
-    swing, axes = (np.eye(3), None) if p == PARAMETERS else (skew_rotation(parameters), _on_skew(parameters))
+    swing, axes = (_ALIGNED, None) if p == PARAMETERS else (skew_rotation(parameters), _on_skew(parameters))
     inputs = (
         sight.matrix,
         swing,

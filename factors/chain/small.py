@@ -1,9 +1,9 @@
-"""Solutions of small linear systems and eigenvectors, without the overhead of `np.linalg`, which exceeds their cost."""
+"""Linear algebra of small matrices, without the overhead of `np.linalg`, which exceeds its cost."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dsyevd
+from scipy.linalg.lapack import dgesdd, dgesv, dsyevd
 
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -22,6 +22,18 @@ def solved(matrix: Array, right: Array) -> Array:
     return np.asarray(result)
 
 
+def inverse(matrix: Array) -> Array:
+    """Return the inverse of a matrix (k, k).
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is singular.
+    """
+    _, _, result, failed = dgesv(matrix, np.eye(len(matrix)))
+    if failed:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return np.asarray(result)
+
+
 def eigenvectors(matrix: Array) -> tuple[Array, Array]:
     """Return the ascending eigenvalues (k,) of a symmetric matrix (k, k), and its eigenvectors in columns.
 
@@ -31,4 +43,16 @@ def eigenvectors(matrix: Array) -> tuple[Array, Array]:
     value, vector, failed = dsyevd(matrix, lower=1)
     if failed:
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
+    return value, vector
+
+
+def singular_vectors(matrix: Array) -> tuple[Array, Array]:
+    """Return the descending singular values (k,) of a matrix (k, k), and its right singular vectors as rows.
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is not finite.
+    """
+    _, value, vector, failed = dgesdd(matrix)
+    if failed:
+        raise np.linalg.LinAlgError("Singular values did not converge")
     return value, vector

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.small import singular_vectors
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import is_finite, numbers
@@ -65,7 +66,7 @@ def checked(calibration: Any) -> dict[str, Array]:
             _check_covariance(name, array)
         array.flags.writeable = False
         arrays[name] = array
-    singular_values = np.linalg.svd(arrays["soft_iron"], compute_uv=False)
+    singular_values = singular_vectors(arrays["soft_iron"])[0]
     if not singular_values[2] * _LARGEST_CONDITION_NUMBER > singular_values[0]:
         raise MagycError(
             f"soft_iron is singular or nearly so, and cannot be applied: its singular values are "

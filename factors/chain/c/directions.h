@@ -77,6 +77,17 @@ WIDE_VECTORS static void moved_rotations(size n, in_t rotation, in_t by_bias, in
 }
 
 /* The rotation matrix of a vector, as `rotations.exponential_matrices`. */
+/* result = I + a [v]x + b [v]x² */
+static inline void turn_about(const double v[3], double square, double a, double b, double result[9])
+{
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        result[4 * i] = 1 - b * square + b * v[i] * v[i];
+        result[3 * i + j] = b * v[i] * v[j] - a * v[k];
+        result[3 * j + i] = b * v[i] * v[j] + a * v[k];
+    }
+}
+
 static inline void exponential_of(const double v[3], double result[9])
 {
     double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], a, b;
@@ -88,12 +99,7 @@ static inline void exponential_of(const double v[3], double result[9])
         a = sin(angle) / angle;
         b = 0.5 * half * half;
     }
-    for (int i = 0; i < 3; i++) {
-        int j = (i + 1) % 3, k = (i + 2) % 3;
-        result[4 * i] = 1 - b * square + b * v[i] * v[i];
-        result[3 * i + j] = b * v[i] * v[j] - a * v[k];
-        result[3 * j + i] = b * v[i] * v[j] + a * v[k];
-    }
+    turn_about(v, square, a, b, result);
 }
 
 /* result (9, n) = Exp of the vectors lever (3, 3, n) times change (3,). */

@@ -3,61 +3,100 @@
 #ifndef MAGYC_GYROSCOPE_H
 #define MAGYC_GYROSCOPE_H
 
-#include "common.h"
+#include "arguments.h"
 
 #define RENORMALISED 64 /* steps after which a product is given unit norm again */
 
 #define HOLE 10.0 /* ratio of two neighbouring steps from which the longer one is a hole */
 
-/* Rotation vectors (3, n − 1) from each of n rates (n, 3) to the next, as `rotations.increments` gives them between even
-   steps; returns the number of those that are not. */
-static double turns_between(size n, in_t time, in_t rate, in_t bias, out_t result)
+/* The m steps between stamps, their reciprocals, and the share of each in what it and the next one last; returns the
+   number of those that are much longer or shorter than one beside them. */
+WIDE_VECTORS static size steps_between(size m, in_t time, out_t step, out_t inverse, out_t share)
 {
-    size m = n - 1, uneven = 0;
-    double past[3], here[3], step = time[1] - time[0]; /* the last slope, and the change over the step */
-    int even = 0;
-    for (int i = 0; i < 3; i++) {
-        here[i] = (rate[3 + i] - rate[i]) / step;
-        past[i] = 0.0;
-    }
+    int64_t uneven = 0;
     for (size t = 0; t < m; t++) {
-        const double *one = rate + 3 * t, *two = one + 3;
-        double after = t + 1 < m ? time[t + 2] - time[t + 1] : step, square = step * step / 12, w[3], v[3];
-        double inverse = t + 1 < m ? 1 / after : 0.0, share = step / (step + after);
-        int near = t + 1 < m && fmax(step, after) < HOLE * fmin(step, after);
-        for (int i = 0; i < 3; i++) { /* the slope of the parabola at the end of the step */
-            double change = t + 1 < m ? (two[3 + i] - two[i]) * inverse : 0.0;
-            double slope = here[i] + share * (change - here[i]);
-            w[i] = one[i] - bias[i];
-            v[i] = two[i] - bias[i];
-            result[m * i + t] = 0.5 * step * (w[i] + v[i]);
-            if (t && near && even)
-                result[m * i + t] -= square * (slope - past[i]);
-            past[i] = slope;
-            here[i] = change;
-        }
-        uneven += t && t + 1 < m && !(near && even);
-        result[t] += square * (w[1] * v[2] - w[2] * v[1]);
-        result[m + t] += square * (w[2] * v[0] - w[0] * v[2]);
-        result[2 * m + t] += square * (w[0] * v[1] - w[1] * v[0]);
-        step = after;
-        even = near;
+        step[t] = time[t + 1] - time[t];
+        inverse[t] = 1 / step[t];
     }
-    return (double)uneven;
+    for (size t = 0; t < m - 1; t++) {
+        share[t] = step[t] / (step[t] + step[t + 1]);
+        uneven += step[t] >= HOLE * step[t + 1] || step[t + 1] >= HOLE * step[t];
+    }
+    return (size)uneven;
+}
+
+/* Turns (m,) about one axis by its rates (m + 1,): the trapezoid rule with its end correction, by parabolas. */
+WIDE_VECTORS static void about_axis(size m, in_t rate, in_t step, in_t inverse, in_t share, out_t slope, out_t turn)
+{
+    for (size t = 0; t < m; t++)
+        turn[t] = 0.5 * step[t] * (rate[t] + rate[t + 1]);
+    for (size t = 0; t < m - 1; t++) {
+        double change = (rate[t + 1] - rate[t]) * inverse[t], next = (rate[t + 2] - rate[t + 1]) * inverse[t + 1];
+        slope[t] = change + share[t] * (next - change);
+    }
+    for (size t = 1; t < m - 1; t++)
+        turn[t] -= step[t] * step[t] / 12 * (slope[t] - slope[t - 1]);
+}
+
+/* Coning: what the turn of the axes themselves in m steps adds to one component of the turns (m,). */
+WIDE_VECTORS static void add_coning(size m, in_t y, in_t z, in_t step, out_t turn)
+{
+    for (size t = 0; t < m; t++)
+        turn[t] += step[t] * step[t] / 12 * (y[t] * z[t + 1] - z[t] * y[t + 1]);
+}
+
+/* Rotation vectors (3, n − 1) from each of n rates (n, 3) to the next, as `rotations.increments` gives them if all steps
+   are even; returns the number of those that are not, and then computes none. `work` holds 7 n. */
+static double turns_between(size n, in_t time, in_t rate, in_t bias, double *work, double *result)
+{
+    size m = n - 1;
+    double *axes = work, *step = work + 3 * n, *inverse = step + n, *share = inverse + n, *slope = share + n;
+    size uneven = steps_between(m, time, step, inverse, share);
+    if (uneven)
+        return (double)uneven;
+    for (size t = 0; t < n; t++)
+        for (int i = 0; i < 3; i++)
+            axes[n * i + t] = rate[3 * t + i] - bias[i];
+    for (int i = 0; i < 3; i++)
+        about_axis(m, axes + n * i, step, inverse, share, slope, result + m * i);
+    for (int i = 0; i < 3; i++)
+        add_coning(m, axes + n * ((i + 1) % 3), axes + n * ((i + 2) % 3), step, result + m * i);
+    return 0.0;
+}
+
+/* time (n,), rate (n, 3), bias (3,); result (3, n − 1): as `rotations.increments`, n > 3. Returns the number of uneven
+   steps, where the result is another. */
+static double increments(size n, Arrays *a)
+{
+    double *work = room(a, 7 * n);
+    double uneven = work ? turns_between(n, a->at[0], a->at[1], a->at[2], work, a->at[3]) : 0.0;
+    PyMem_RawFree(work);
+    return uneven;
+}
+TO_PYTHON(increments, 4, 1)
+
+/* cos and sin(φ)/2φ of half the angles of `some` rotation vectors (3, n), whose series are exact to rounding. */
+WIDE_VECTORS static void half_angles(size some, in_t vector, size n, out_t cosine, out_t half)
+{
+    for (size t = 0; t < some; t++) {
+        double a = vector[t], b = vector[n + t], c = vector[2 * n + t], square = a * a + b * b + c * c;
+        cosine[t] = 1 - square * (1. / 8 - square * (1. / 384 - square * (1. / 46080 - square * (1. / 10321920))));
+        half[t] = 0.5 - square * (1. / 48 - square * (1. / 3840 - square * (1. / 645120 - square * (1. / 185794560))));
+    }
 }
 
 /* Products of the exponentials of n rotation vectors (3, n), n + 1 of them, the first one. */
 static void chained(size n, in_t vector, out_t p, out_t q)
 {
-    double w = 1.0, x = 0.0, y = 0.0, z = 0.0;
+    double w = 1.0, x = 0.0, y = 0.0, z = 0.0, cosine[STRETCH], halves[STRETCH];
     p[0] = 1.0;
     p[1] = q[0] = q[1] = 0.0;
     for (size t = 0; t < n; t++) {
-        double a = vector[t], b = vector[n + t], c = vector[2 * n + t], square = a * a + b * b + c * c, half, v;
-        if (square < 0.05) { /* series, exact to rounding */
-            v = 1 - square * (1. / 8 - square * (1. / 384 - square * (1. / 46080 - square / 10321920)));
-            half = 0.5 - square * (1. / 48 - square * (1. / 3840 - square * (1. / 645120 - square / 185794560)));
-        } else {
+        if (t % STRETCH == 0)
+            half_angles(LEAST(STRETCH, n - t), vector + t, n, cosine, halves);
+        double a = vector[t], b = vector[n + t], c = vector[2 * n + t], square = a * a + b * b + c * c;
+        double half = halves[t % STRETCH], v = cosine[t % STRETCH];
+        if (!(square < 0.05)) {
             double angle = sqrt(square);
             v = cos(0.5 * angle);
             half = sin(0.5 * angle) / angle;

@@ -26,6 +26,20 @@ WIDE_VECTORS static void turning(size n, in_t rotation, in_t change, in_t g, out
     }
 }
 
+/* The least turn between two vectors with the cross product v and the inner product c. */
+static inline void least_turn(double v[3], double c, double turn[9])
+{
+    double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], length = sqrt(square + c * c);
+    if (c > 0) { /* (1 − cos φ) / |v|² by the product of what is added and what is subtracted */
+        turn_about(v, square, 1 / length, 1 / (length * (length + c)), turn);
+        return;
+    }
+    double sine = sqrt(square), angle = atan2(sine, c);
+    for (int i = 0; i < 3; i++)
+        v[i] *= angle / fmax(sine, LEAST_LENGTH);
+    exponential_of(v, turn);
+}
+
 /* Rotations (3, 3, n) from pairs (n,), each followed by the least turn that gives directions (3, n) their mean. */
 static void aligned(size n, in_t p, in_t q, in_t g, out_t world)
 {
@@ -46,11 +60,7 @@ static void aligned(size n, in_t p, in_t q, in_t g, out_t world)
             there[i] = r[3 * i] * g[t] + r[3 * i + 1] * g[n + t] + r[3 * i + 2] * g[2 * n + t];
         for (int i = 0; i < 3; i++)
             axis[i] = there[(i + 1) % 3] * mean[(i + 2) % 3] - there[(i + 2) % 3] * mean[(i + 1) % 3];
-        double sine = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
-        double angle = atan2(sine, mean[0] * there[0] + mean[1] * there[1] + mean[2] * there[2]);
-        for (int i = 0; i < 3; i++)
-            axis[i] *= angle / fmax(sine, LEAST_LENGTH);
-        exponential_of(axis, turn);
+        least_turn(axis, mean[0] * there[0] + mean[1] * there[1] + mean[2] * there[2], turn);
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++)
                 world[(3 * i + k) * n + t] =

@@ -4,6 +4,7 @@
 #define MAGYC_SPLINE_H
 
 #include "arguments.h"
+#include "lanes.h"
 
 #define FEW 4
 
@@ -13,9 +14,7 @@
 ALWAYS_INLINE void slopes_in_lanes(int lanes, size n, in_t values, in_t inverse, in_t share, in_t below, size some,
                                    out_t slopes, out_t work)
 {
-    for (size t = 0; t < n; t++)
-        for (size c = 0; c < some; c++)
-            work[lanes * t + c] = values[c * n + t];
+    into_lanes(n, some, values, n, work, lanes);
     double first[TOGETHER], last[TOGETHER], right[TOGETHER] = {0}, after[TOGETHER];
     for (int c = 0; c < lanes; c++) {
         first[c] = (work[lanes + c] - work[c]) * inverse[0];
@@ -42,9 +41,7 @@ ALWAYS_INLINE void slopes_in_lanes(int lanes, size n, in_t values, in_t inverse,
     }
     memcpy(work, first, sizeof(double) * (size_t)lanes);
     memcpy(work + lanes * (n - 1), last, sizeof(double) * (size_t)lanes);
-    for (size c = 0; c < some; c++)
-        for (size t = 0; t < n; t++)
-            slopes[c * n + t] = work[lanes * t + c];
+    from_lanes(n, some, work, lanes, slopes, n);
 }
 
 WIDE_VECTORS static void slopes_together(size n, in_t values, in_t inverse, in_t share, in_t below, size some,

@@ -7,6 +7,7 @@ import numpy as np
 from magyc_gtsam.estimators.model_error.motion import WindowMotion, along_axes
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.rotations import Array, by_axes
+from magyc_gtsam.factors.chain.small import singular_vectors
 
 
 def attitude(motion: WindowMotion) -> UnmodelledColumns:
@@ -37,5 +38,5 @@ def vertical(motion: WindowMotion) -> Array:
 
     A buoy that rolls faster than it spins turns most about a horizontal axis.
     """
-    steady = np.linalg.svd(motion.attitude.mean(axis=2))[2][0]
+    steady = singular_vectors(motion.attitude.mean(axis=2))[1][0]
     return np.asarray(np.einsum("ijn,j->in", motion.attitude, steady))

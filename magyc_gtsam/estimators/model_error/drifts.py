@@ -36,15 +36,9 @@ def up_to(largest: float) -> Callable[[WindowMotion], float]:
     return lambda motion: largest * min(float(motion.time[-1] - motion.time[0]) / _WARM, 1.0)
 
 
-def _since_mean(motion: WindowMotion) -> Array:
-    """Return (n,) the time since its mean over the windows, relative to that at the end of the recording."""
-    since = motion.time - motion.time.mean()
-    return since / since[-1]
-
-
 def _gain(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a gain on the whole reading that changes linearly with time, one per axis."""
-    return UnmodelledColumns.axis_by_axis(_since_mean(motion) * motion.reading)
+    return UnmodelledColumns.axis_by_axis(motion.since_mean * motion.reading)
 
 
 def _gain_at_end(motion: WindowMotion) -> Array:
@@ -60,7 +54,7 @@ def _gain_at_end(motion: WindowMotion) -> Array:
 
 def _offset(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a hard iron that changes linearly with time, one per axis."""
-    return motion.in_sensor(_since_mean(motion)[None])
+    return motion.in_sensor(motion.since_mean[None])
 
 
 def _offset_at_end(motion: WindowMotion) -> Array:
@@ -70,7 +64,7 @@ def _offset_at_end(motion: WindowMotion) -> Array:
 
 def _bias(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a gyroscope bias that changes linearly with time, one per axis."""
-    return motion.slowly_about_each_axis(_since_mean(motion)[None])
+    return motion.slowly_about_each_axis(motion.since_mean[None])
 
 
 def _bias_at_end(motion: WindowMotion) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error import drifts
 from magyc_gtsam.estimators.model_error.by_attitude import attitude, tilt
-from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
+from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion, root_mean_square
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, by_axes
@@ -33,6 +33,9 @@ COMMON = 0.3  # errors that every data sheet of a low-cost sensor states as one 
 USUAL = 0.05  # errors of some sensors
 SELDOM = 0.02  # a field gradient with a lever arm, which hardly moves the parameters of a clean log
 GENERAL = 2.5e-3  # effects without a specific cause: with so many families some gain 6 nats by chance
+
+
+_SHOWN = {"field": (1e6, "µT"), "rate": (1e3, "mrad/s"), "share": (1e2, "%"), "angle": (180 / np.pi, "°")}
 
 
 @dataclass(frozen=True)
@@ -108,14 +111,8 @@ class ColumnFamily:
 
     def sentence(self, size: float, period: float | None) -> str:
         """Return a sentence on what it acts on and its size."""
-        scale, unit = {
-            "field": (1e6, "µT"),
-            "rate": (1e3, "mrad/s"),
-            "share": (1e2, "%"),
-            "angle": (np.degrees(1), "°"),
-        }.get(self.unit, (1e3, "ms"))
-        shown = f"{scale * size:.2g} {unit}"
-        return self.place.format(shown)
+        scale, unit = _SHOWN.get(self.unit, (1e3, "ms"))
+        return self.place.format(f"{scale * size:.2g} {unit}")
 
 
 def _second(vector: Array) -> Array:
@@ -157,7 +154,7 @@ def _speed(motion: WindowMotion) -> UnmodelledColumns:
     """Return columns of the size of the rate about each axis less its mean, as of the currents of thrusters."""
     size = np.abs(motion.rate)
     size -= size.mean(axis=1, keepdims=True)
-    return motion.in_sensor(size / max(float(np.sqrt(np.mean(size**2))), ALIKE))
+    return motion.in_sensor(size / max(root_mean_square(size), ALIKE))
 
 
 def _rate_times_field(motion: WindowMotion) -> UnmodelledColumns:
@@ -168,8 +165,7 @@ def _rate_times_field(motion: WindowMotion) -> UnmodelledColumns:
 def _slope(motion: WindowMotion) -> Array:
     """Return (3, n) T, the derivative of the reading by the delay, scaled to the field strength."""
     change = motion.soft_iron @ motion.change
-    size = float(np.sqrt(np.mean(motion.change**2)))
-    return change / max(size, ALIKE)
+    return change / max(root_mean_square(motion.change), ALIKE)
 
 
 def _delays(motion: WindowMotion) -> UnmodelledColumns:
@@ -180,7 +176,7 @@ def _delays(motion: WindowMotion) -> UnmodelledColumns:
     speed = np.sqrt(np.square(motion.relative).sum(axis=0) / 3.0)
     profiles = np.concatenate([motion.waves(1, 5), [speed, 1 / np.sqrt(speed**2 + 0.05)]])
     bent = motion.soft_iron @ motion.derivative(motion.change)
-    filtered = bent * motion.strength / max(float(np.sqrt(np.mean(bent**2))), ALIKE * motion.strength)
+    filtered = bent * motion.strength / max(root_mean_square(bent), ALIKE * motion.strength)
     return UnmodelledColumns(np.concatenate([profiles[:, None, :] * _slope(motion), filtered[None]]), None)
 
 

@@ -101,7 +101,7 @@ class WindowMotion:
     @property
     def hard_iron(self) -> Array:
         """(3,) T."""
-        return (self.reading - self.soft_iron @ self.unit)[:, 0]
+        return np.asarray(self.reading[:, 0] - self.soft_iron @ self.unit[:, 0])
 
     @property
     def along_links(self) -> WindowMotion:
@@ -162,7 +162,13 @@ class WindowMotion:
     @cached_property
     def spread(self) -> float:
         """rad/s, root mean square of the rate of turn per axis."""
-        return max(float(np.sqrt(np.mean(self.rate**2))), ALIKE)
+        return max(root_mean_square(self.rate), ALIKE)
+
+    @cached_property
+    def since_mean(self) -> Array:
+        """(n,) time since its mean over the windows, relative to that at the end of the recording."""
+        since = self.time - self.time.mean()
+        return np.asarray(since / since[-1])
 
     @cached_property
     def relative(self) -> Array:
@@ -227,9 +233,11 @@ class WindowMotion:
     @cached_property
     def _gyroscope_matrix(self) -> Array:
         """Columns (6, 3, links) of a symmetric error of the gyroscope's matrix: xx, yy, zz, xy, xz, yz."""
-        first, second = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-        turned = self.rate[first, None] * self.rotation[second]
-        turned[3:] += self.rate[second[3:], None] * self.rotation[first[3:]]
+        turned = np.empty((6, *self.rotation.shape[1:]))
+        np.multiply(self.rate[:, None], self.rotation, out=turned[:3])
+        for both, (i, j) in zip(turned[3:], ((0, 1), (0, 2), (1, 2)), strict=True):
+            np.multiply(self.rate[i], self.rotation[j], out=both)
+            both += self.rate[j] * self.rotation[i]
         return self._links(turned)
 
     def _links(self, turned: Array) -> Array:
@@ -269,7 +277,20 @@ class WindowMotion:
 
     def _waves(self, first: int, stop: int) -> Array:
         share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
-        return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)
+        result = np.empty((max(stop, 2), len(share)))
+        result[0] = np.sqrt(2)
+        slowest = np.cos(np.pi * share)
+        np.multiply(result[0], slowest, out=result[1])
+        slowest *= 2
+        for k in range(2, stop):  # cos kφ = 2 cos φ cos (k − 1)φ − cos (k − 2)φ
+            np.multiply(slowest, result[k - 1], out=result[k])
+            result[k] -= result[k - 2]
+        return result[first:stop]
+
+
+def root_mean_square(values: Array) -> float:
+    """Return the root of the mean square of all values."""
+    return float(np.sqrt(np.vdot(values, values) / values.size))
 
 
 def along_axes(profiles: Array, axes: Array) -> UnmodelledColumns:

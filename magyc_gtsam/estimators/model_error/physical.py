@@ -69,7 +69,8 @@ def _play(motion: WindowMotion, width: float = _WIDTH) -> UnmodelledColumns:
     """
     behind = (followed(motion.reading, width) - motion.reading) / width
     less = motion.reading.mean(axis=1, keepdims=True) - motion.reading
-    less /= np.maximum(np.sqrt(2 * np.mean(less**2, axis=1, keepdims=True)), ALIKE * motion.strength)
+    size = np.sqrt(2 * np.einsum("in,in->i", less, less) / less.shape[1])
+    less /= np.maximum(size, ALIKE * motion.strength)[:, None]
     return UnmodelledColumns.axis_by_axis(motion.strength * np.concatenate([behind, less]))
 
 

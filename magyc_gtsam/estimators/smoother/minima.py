@@ -16,6 +16,7 @@ from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import misfit, weigh
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.facts import strength_of
+from magyc_gtsam.factors.chain.small import eigenvectors
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 
@@ -38,7 +39,7 @@ def lower(fit: Fit, other: Fit) -> bool:
 
 def positive(fit: Fit) -> bool:
     """Return whether the soft iron is positive definite."""
-    return bool(np.linalg.eigvalsh(unvech(fit.state.parameters[:6]))[0] > 0)
+    return bool(eigenvectors(unvech(fit.state.parameters[:6]))[0][0] > 0)
 
 
 def strength(fit: Fit) -> float:

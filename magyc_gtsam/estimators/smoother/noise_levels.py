@@ -115,7 +115,7 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     if not np.isfinite(covariance).all():  # no residual depends on a parameter: the redundancies are undefined
         return chain.noise, 0.0, fit.noise_freedom
     squares, redundancy = squares_and_redundancies(fit, residuals)
-    shared = explained(fit, residuals.window / chain.window_sigma * np.sqrt(fit.weights.window), covariance)
+    shared = explained(fit, residuals.window * (chain.window_scale * np.sqrt(fit.weights.window)), covariance)
     information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
     gradient = squares - redundancy
     level = np.array(chain.noise)

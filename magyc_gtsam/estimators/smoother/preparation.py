@@ -11,6 +11,7 @@ from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import eigenvectors
 from magyc_gtsam.factors.chain.stamp_errors import stamp_errors
 from magyc_gtsam.recording import Recording, Samples
 
@@ -60,7 +61,7 @@ def suitable_turn(field: Array) -> float:
     """
     some = np.ascontiguousarray(field[:: max(len(field) // 500, 1)].T)
     some -= some.mean(axis=1)[:, None]
-    spread = np.linalg.eigvalsh(some @ some.T) / (some.shape[1] - 1)
+    spread = eigenvectors(some @ some.T)[0] / (some.shape[1] - 1)
     turn = 1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30))
     # Discrete values: two segmentations of a log differ by up to a third of a sigma, and a few more samples must not
     # change the segmentation.

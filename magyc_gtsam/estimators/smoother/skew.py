@@ -27,6 +27,7 @@ from magyc_gtsam.estimators.smoother.skew_prior import Skew, SkewPrior
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
 from magyc_gtsam.factors.chain.rotations import Array, by_axes
+from magyc_gtsam.factors.chain.small import eigenvectors
 
 _LEAST_SPLIT = 40  # windows of a recording from which its halves are compared
 
@@ -136,7 +137,7 @@ class SkewPosterior(NamedTuple):
     @classmethod
     def of(cls, profile: Profile, prior: SkewPrior) -> SkewPosterior:
         """Compute the posterior; the prior is isotropic, so the likelihood factorises over the principal axes."""
-        known, axes = np.linalg.eigh(profile.information)
+        known, axes = eigenvectors(profile.information)
         known, pull = np.maximum(known, 0.0), profile.pull @ axes
         before = np.square(prior.deviations)[:, None]
         variance = before / (1 + before * known)

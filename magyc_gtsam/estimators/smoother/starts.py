@@ -9,7 +9,7 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.small import solved
+from magyc_gtsam.factors.chain.small import inverse, solved
 from magyc_gtsam.factors.chain.vech import unvech, vech
 
 _LAG = 3.0  # s between the windows compared by the linear start
@@ -30,7 +30,7 @@ def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) ->
 
 def from_prior(windows: FieldWindows, soft_iron: Array, hard_iron: Array, bias: Array) -> Array:
     """Return θ of an earlier calibration, vech(soft_iron) (6,), with the median strength of the field."""
-    straight = np.linalg.inv(unvech(soft_iron)) @ (windows.field - hard_iron[:, None])
+    straight = inverse(unvech(soft_iron)) @ (windows.field - hard_iron[:, None])
     strength = median(np.sqrt(np.einsum("in,in->n", straight, straight)))
     return parameters(unvech(soft_iron) * strength, hard_iron, bias, windows.delay)
 
@@ -81,7 +81,7 @@ def from_gyroscope(windows: FieldWindows) -> Array:
         weight = counts / (1 + square / (2 * scale))  # Cauchy
     if not np.linalg.norm(stretch) < _MOST_SOFT_IRON:
         return spherical(windows, hard_iron, bias)
-    soft_iron = np.linalg.inv(np.eye(3) - (stretch @ TRACELESS.reshape(5, 9)).reshape(3, 3))
+    soft_iron = inverse(np.eye(3) - (stretch @ TRACELESS.reshape(5, 9)).reshape(3, 3))
     hard_iron = before_it + soft_iron @ (hard_iron - before_it)
     return from_prior(windows, vech(soft_iron), hard_iron, bias)
 

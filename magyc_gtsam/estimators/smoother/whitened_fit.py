@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.factors.chain import compiled
@@ -47,7 +47,7 @@ class Minimum:
     @cached_property
     def whitened(self) -> tuple[Array, Array]:
         """The whitened residuals of the windows, (3, n) in the sensor's axes and (3, n) in the world's axes."""
-        whitened = self.residuals.window * np.sqrt(self.weights.window) / self.chain.window_sigma
+        whitened = self.residuals.window * (np.sqrt(self.weights.window) * self.chain.window_scale)
         return whitened, np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
 
 
@@ -102,7 +102,9 @@ class Estimated:
         information = self.information if free.all() else self.information[np.ix_(free, free)]
         scaled = information * scale * scale[:, None]
         scaled.flat[:: len(scale) + 1] += ROUNDING
-        root = np.linalg.cholesky(scaled)
+        root, failed = dpotrf(scaled, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError("Matrix is not positive definite")
         result: Array = dtrtri(root, lower=1)[0]
         return result
 
