@@ -91,7 +91,7 @@ def test_windows_are_cut_alike_while_the_spread_changes_little():
 def test_it_can_be_read_at_any_time_of_fast_turns() -> None:
     """Of windows with one sample each, one or two after each 64th were integrated alone, which needs three."""
     random = np.random.default_rng(1)
-    time = np.arange(0, 120, 0.02)
+    time = np.arange(0, 60, 0.02)
     rate = np.radians(100) * np.column_stack([np.sin(0.9 * time), np.cos(0.7 * time), np.sin(1.3 * time + 1)])
     attitude = Rotation.identity()
     field = np.empty_like(rate)
