@@ -218,13 +218,11 @@ class Examiner:
         if fit is None:
             return
         better, clear = field.evidence - mounting.evidence, np.log(field.limits.evidence)
-        turned = field.certain and (mounting.certain or abs(field.mean) > field.limits.least) and better > -clear
+        turned = field.certain and (mounting.certain or field.turn > field.limits.least) and better > -clear
         mounting.conclude(mounting.certain and better < clear, fit.time)
         field.conclude(turned, fit.time)
-        text = f"mounting {np.degrees(np.linalg.norm(mounting.mean)):.1f}° from what the blocks hold"
-        angle = (
-            f"field {np.degrees(abs(field.mean)):.1f}° about the vertical from the heading of the other factors"
-        )
+        text = f"mounting {np.degrees(mounting.turn):.1f}° from what the blocks hold"
+        angle = f"field {np.degrees(field.turn):.1f}° about the vertical from the heading of the other factors"
         if field.wrong and mounting.wrong:
             text += f", or {angle}"
         self.monitor.hold("mounting held", mounting.wrong, text, mounting.since)

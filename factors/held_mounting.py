@@ -24,57 +24,40 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.factors.free_fit import FreeFit
+from magyc_gtsam.factors.held import Held, HeldLimits
 from magyc_gtsam.factors.variables import Array
 
 
 @dataclass(frozen=True)
-class MountingLimits:
+class MountingLimits(HeldLimits):
     """Limits of the test of a held mounting.
 
     Attributes:
-        prior: rad, standard deviation of each angle of θ under the alternative to θ = 0.
-        excess: factor by which squared innovations may exceed their expectation, for a model that is only nearly
-            right.
-        perhaps: evidence above which the graph is solved with the mounting free.
-        first: number of blocks at which it is solved anyway: 60 blocks of 2 s determine a mounting to 0.16°.
-        evidence: evidence of that solution above which the mounting counts as wrong.
-        least: rad, smallest rotation that is reported.
         share: largest information of a block relative to that of the solver, which contains it, along any direction.
             It exceeds 1 where a solver has linearised its Python factors elsewhere: by 0.12 on a graph whose heading
             is known, by hundreds while it turns. Such a block is left out.
         lever: rad/rad, largest entry of D on an attitude. In a graph whose tilt is not determined D would grow without
             bound; it then starts at zero again.
-        growth: factors of the number of blocks between two solutions, with and without such evidence.
     """
 
     prior: float = math.radians(2.0)
-    excess: float = 1.3
-    perhaps: float = 10.0
-    first: int = 60
-    evidence: float = 1e5
     least: float = math.radians(0.5)
     share: float = 1.01
     lever: float = 10.0
-    growth: tuple[float, float] = (1.25, 3.0)
 
 
-class HeldMounting:
-    """The evidence for a turned mounting, accumulated block by block.
+class HeldMounting(Held):
+    """The evidence for a turned mounting θ, accumulated block by block.
 
     Attributes:
-        blocks: number of blocks so far.
-        wrong: whether a solution with the mounting free has found it wrong.
-        since: s, time of the block after which it first was; NaN before.
         shift: (p, 3) D of the last block's keys.
     """
 
     def __init__(self, limits: MountingLimits) -> None:
+        super().__init__(limits, 3)
         self.limits = limits
-        self.blocks, self.wrong, self.since = 0, False, math.nan
         self.shift: Array = np.zeros((0, 3))
         self._axis: Array = np.zeros(0)
-        self._information, self._score = np.zeros((3, 3)), np.zeros(3)
-        self._next, self._anyway = 0.0, float(limits.first)
 
     def add(self, gram: Array, axis: Array, covariance: Array, *, counts: bool) -> None:
         """Add a block.
@@ -114,53 +97,16 @@ class HeldMounting:
         return shift
 
     @property
-    def covariance(self) -> Array:
-        """Covariance (3, 3) of θ, given all blocks and its prior."""
-        return np.asarray(np.linalg.inv(self._information + np.eye(3) / self.limits.prior**2))
-
-    @property
-    def mean(self) -> Array:
-        """Mean (3,) of θ in rad, given all blocks and its prior."""
-        return np.asarray(self.covariance @ self._score)
-
-    @property
-    def evidence(self) -> float:
-        """Logarithm of the Bayes factor of θ drawn from its prior against θ = 0, given all blocks."""
-        limits = self.limits
-        information = np.eye(3) + limits.prior**2 * self._information / limits.excess
-        score = limits.prior * self._score / limits.excess
-        gained = 0.5 * float(score @ np.linalg.solve(information, score))
-        return gained - 0.5 * float(np.linalg.slogdet(information)[1])
-
-    @property
-    def due(self) -> bool:
-        """Whether to solve the graph with the mounting free."""
-        doubtful = self.wrong or self.evidence > math.log(self.limits.perhaps)
-        return self.blocks >= (self._next if doubtful else self._anyway)
-
-    @property
     def certain(self) -> bool:
-        """Whether the evidence of the last solution suffices, for a turn that is large enough to be reported."""
-        enough = self.evidence > math.log(self.limits.evidence)
-        return enough and bool(np.linalg.norm(self.mean) > self.limits.least)
-
-    @property
-    def error(self) -> Array | None:
-        """Mean (3,) of θ in rad; None where the mounting is not wrong."""
-        return self.mean if self.wrong else None
+        """Whether the evidence suffices, for a turn that is large enough to be reported."""
+        return super().certain and self.turn > self.limits.least
 
     def solved(self, fit: FreeFit | None) -> None:
         """Take over a solution of the graph with the mounting free; None where there is none."""
-        self._next, self._anyway = (growth * self.blocks for growth in self.limits.growth)
+        self.tried()
         if fit is not None:
             self._information, self._score = fit.information[:3, :3], fit.score[:3]
             self.shift, self._axis = fit.shift[:, :3], fit.axis
-
-    def conclude(self, wrong: bool, time: float) -> None:
-        """Record whether the mounting is wrong, at the time in s of the last block."""
-        self.wrong = wrong
-        if wrong != math.isfinite(self.since):
-            self.since = time if wrong else math.nan
 
     def considered(self, gram: Array, covariance: Array) -> tuple[Array, Array]:
         """Return the last block at the estimate with the mounting at its mean, and the mounting among the keys.

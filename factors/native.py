@@ -103,7 +103,8 @@ class NativeFactors(NotSaved):
     @property
     def field_error(self) -> float | None:
         """Angle ψ in rad about the world's z for which Rz(ψ) f is the correct field; None where it is not wrong."""
-        return None if self._examiner is None else self._examiner.field.error
+        error = None if self._examiner is None else self._examiner.field.error
+        return None if error is None else float(error[0])
 
     @property
     def fits(self) -> tuple[BlockFit, ...]:
