@@ -25,7 +25,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
-from magyc_gtsam.gap.samples.fine import First
+from magyc_gtsam.gap.samples.first import First
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60

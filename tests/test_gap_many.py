@@ -183,6 +183,13 @@ def test_a_weaker_effect_beside_a_strong_one_is_named() -> None:
     assert all(calibration.delay == pytest.approx(0.04, abs=0.01) for calibration in gap.calibrations.values())
 
 
+def test_the_delay_is_estimated_beside_other_effects() -> None:
+    logs = [mg.simulate("wide", 100, seed=seed, effects=["motor-current"]).recording for seed in (3, 4)]
+    gap = mg.find_gap(logs, candidates=["motor-current"])
+    assert gap.verdict == "closed"
+    assert all(c.delay_sigma and abs(c.delay) < 4 * c.delay_sigma for c in gap.calibrations.values())
+
+
 def test_what_is_missing_is_in_no_calibration_that_is_trusted() -> None:
     effects = ["cubic", "misalignment"]
     logs = [mg.simulate("wide", 150, seed=seed, effects=effects, effects_seed=3).recording for seed in (1, 2)]

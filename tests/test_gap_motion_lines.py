@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.model.base import base_model
-from magyc_gtsam.gap.samples.fine import First
+from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.motion_lines import follows_motion
 
 ROLL, MOTOR = 0.14, 2.9  # Hz

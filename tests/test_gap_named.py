@@ -23,7 +23,7 @@ from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.naming.named import _each_once, _parts, named
 from magyc_gtsam.gap.outcome.outcome import gap_of
-from magyc_gtsam.gap.samples.fine import First
+from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.report.gap_words import key_numbers
 
 Looked = tuple[First, Answer, SensorNoise]

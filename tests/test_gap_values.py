@@ -14,7 +14,7 @@ from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects.term import measured
 from magyc_gtsam.gap.model.refit import spread
-from magyc_gtsam.gap.samples.coarse import rounding
+from magyc_gtsam.gap.samples.coarse import rounding, truncation
 from magyc_gtsam.simulation import HARD_IRON, MILLIGAUSS
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.signals import record
@@ -30,6 +30,37 @@ def test_what_rounding_adds_on_average() -> None:
         measured = (step * np.round(noisy / step)).mean(axis=0) - reading
         np.testing.assert_allclose(rounding(reading, step, noise), measured, atol=5e-3 * step)
     assert np.abs(rounding(reading, step, step)).max() < 1e-6 * step
+
+
+def test_what_truncation_towards_zero_adds_on_average() -> None:
+    """Against 200,000 truncations, where the sign changes and far from there."""
+    random = np.random.default_rng(0)
+    step = 6e-6
+    reading = np.concatenate([np.linspace(-2.5, 2.5, 21), [-40.3, 35.9]]) * step
+    for noise in (0.1 * step, 0.3 * step, step):
+        noisy = reading + noise * random.standard_normal((200_000, len(reading)))
+        measured = (step * np.trunc(noisy / step)).mean(axis=0) - reading
+        np.testing.assert_allclose(truncation(reading, step, noise), measured, atol=0.01 * step)
+
+
+@pytest.mark.parametrize(("motion", "step"), [("wide", 0.3e-6), ("tiny", 2e-6)])
+def test_truncated_readings_are_told_from_rounded_ones(motion: str, step: float) -> None:
+    """Steps finer than the noise, whose rounding does no harm, and steps of five times the noise."""
+    simulation = mg.simulate(motion, 300, seed=5, magnetometer_noise=0.4e-6)
+    reading = simulation.recording.magnetic_field / step
+    cut, near = (
+        mg.find_gap(replace(simulation.recording, magnetic_field=step * values))
+        for values in (np.trunc(reading), np.round(reading))
+    )
+    assert [effect.name for effect in cut.effects] == ["quantisation"]
+    assert {effect.name for effect in near.effects} <= {"quantisation"}
+    for gap in (cut, near):
+        assert gap.calibration.trusted
+        assert gap.calibration.covariance is not None
+        error = gap.calibration.hard_iron - simulation.truth.hard_iron
+        assert (np.abs(error) < 3.5 * np.sqrt(np.diag(gap.calibration.covariance)[6:9])).all()
+    assert "truncated towards zero" in cut.sentence
+    assert "truncated" not in near.sentence
 
 
 @pytest.mark.parametrize(("motion", "seed"), [("wide", 1), ("moderate", 2)])

@@ -74,7 +74,7 @@ def test_more_than_half_is_refused_in_the_words_of_the_batch(motion: str, seed: 
     with pytest.raises(mg.MagycError) as refused:
         mg.calibrate(recording)
     remedy = (
-        "at most 50% can be left out; raise the gyroscope's full scale, turn more slowly, or choose an interval"
+        "at most 50% can be left out: raise the gyroscope's full scale, turn more slowly, or choose an interval"
     )
     assert remedy in str(refused.value)
     online = fed(recording)

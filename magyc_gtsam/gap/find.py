@@ -15,7 +15,7 @@ from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
-from magyc_gtsam.gap.model.refit import widened
+from magyc_gtsam.gap.model.refit import refit, widened
 from magyc_gtsam.gap.model.root import TooSmoothError
 from magyc_gtsam.gap.naming.delay import with_free_delay
 from magyc_gtsam.gap.naming.named import Named, named
@@ -24,7 +24,7 @@ from magyc_gtsam.gap.outcome.doubt import with_clipped, with_stuck_bit
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.prepared import Prepared
 from magyc_gtsam.gap.result import Doubt, Gap
-from magyc_gtsam.gap.samples.fine import First
+from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.simulated import SimulatedGap, compare
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
@@ -151,7 +151,10 @@ def _searched(ready: Prepared, names: tuple[str, ...]) -> Named | tuple[str, Dou
     except TooSmoothError:
         return ready.too_smooth()
     result = without_samples_of_steps(ready.recording, named(said, first, ready.short_term))
-    return with_free_delay(result, ready.short_term)
+    model = with_free_delay(result.fitted.model)
+    if model is result.fitted.model:
+        return result
+    return replace(result, fitted=refit(result.fitted.twin.problem, model, ready.short_term))
 
 
 def _check_types(recording: Recording, calibration: object, simulated: Recording | None) -> None:

@@ -20,6 +20,8 @@ class Rules:
     # nats that two fitted parameters of a noise model may gain by chance (with a margin)
     chance: float = 9.0
     coarse: float = 0.7  # step in sigmas above which quantisation is an effect
+    # the same for readings that are truncated: the jump where their sign changes is not blurred by noise
+    truncated: float = 0.2
     contradicted: float = 4.0  # sigmas above which the data contradict a parameter of a given calibration
     # sigma, relative to the prior's, up to which the data determine a direction of the values
     determined_by_data: float = 0.75

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +22,7 @@ _INTERVAL = "choose an interval without it (start=, end=)"
 _MATTERS = (
     1.0  # deg, by which the heading error of a tilted vehicle exceeds that of a level one if both are stated
 )
+_CHANNEL = re.compile(r"^(magnetic_field|angular_rate): ")  # with which findings about one sensor begin
 _MODEL_ERROR = "what the model does not explain"
 
 
@@ -149,7 +151,7 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
         if recording is not None and float(np.ptp(recording.magnetic_field, axis=0).max()) < _STILL:
             cause = "the instrument hardly moved"
         return cause, _joined_remedies(missing) + _or_by_a_fact(calibration.message)
-    return cause_and_action(first)
+    return cause_and_action(_CHANNEL.sub("", first))
 
 
 def _or_by_a_fact(message: str) -> str:

@@ -55,7 +55,7 @@ class Clipped:
     def sentence(self) -> str:
         """The message: `where`, the limit and the remedy."""
         return (
-            f"{self.where}: at most {MOST:.0%} can be left out; raise the gyroscope's full scale, turn more "
+            f"{self.where}, and at most {MOST:.0%} can be left out: raise the gyroscope's full scale, turn more "
             "slowly, or choose an interval without it (start=, end=)"
         )
 

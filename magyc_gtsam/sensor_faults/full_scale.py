@@ -61,8 +61,8 @@ class ClippedField:
     def sentence(self) -> str:
         """The message: `where`, the limit and the remedy."""
         return (
-            f"{self.where}: at most {MOST:.1%} do no harm; choose a larger full scale, move what is magnetic away from "
-            "the sensor, or take the calibration of `mg.find_gap`, where that can model it"
+            f"{self.where}, and at most {MOST:.1%} do no harm: choose a larger full scale, move what is magnetic away "
+            "from the sensor, or take the calibration of `mg.find_gap`, where that can model it"
         )
 
 

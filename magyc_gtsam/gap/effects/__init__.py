@@ -44,7 +44,7 @@ LABELS: dict[str, str] = {name: term.label for name, term in TERMS.items()} | {
     "coloured-noise": "time-correlated magnetometer noise",
     "spikes": "single wrong samples",
     "tone": "steady tone (mains or switching supply)",
-    "quantisation": "coarse steps of the magnetometer",
+    "quantisation": "steps of the magnetometer",
     "sample-hold": "repeated magnetometer values",
     "axis-order": "axes of the two sensors exchanged or turned round",
 }
@@ -60,7 +60,8 @@ PHYSICS: dict[str, str] = {name: term.physics for name, term in TERMS.items()} |
     "tone": "Mains and switching supplies add a field that alternates. Sampled more slowly than it alternates, it "
     "appears at another frequency. A line at the frequency of the motion is due to the motion.",
     "quantisation": "A magnetometer of few bits, or a log of few digits, has coarse steps. The rounding error repeats "
-    "where the field changes slowly, and averaging does not remove it. Finer noise than the steps cannot be seen.",
+    "where the field changes slowly, and averaging does not remove it. Finer noise than the steps cannot be seen. "
+    "Digits that are cut off instead of rounded move every reading by half a step towards zero, whatever the noise.",
     "sample-hold": "A magnetometer that is slower than the log repeats its last value until the next one. The readings "
     "are old by a varying time, on average by half of its period. A delay resembles it where the period is short.",
     "axis-order": "Drivers and mountings exchange the axes of a sensor or turn them round. The two sensors then state "

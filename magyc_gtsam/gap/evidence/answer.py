@@ -27,9 +27,10 @@ from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.problem import Model, Problem
 from magyc_gtsam.gap.model.root import root
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.samples.coarse import unrounded
-from magyc_gtsam.gap.samples.fine import First, fine_innovations
-from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation
+from magyc_gtsam.gap.samples.coarse import centred, without_steps
+from magyc_gtsam.gap.samples.fine import fine_innovations
+from magyc_gtsam.gap.samples.first import First
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
 
 _ROUNDS = 3  # of removing effects on single samples
@@ -73,15 +74,17 @@ def answer(
     recording, problem, model = given, base.twin.problem, base.model
     level = short_term
     left_out: list[NoiseScore] = []
-    fine = first.fine
-    coarse = quantisation(given, fine.white)
-    step = float(coarse.value[0])
-    stepped = coarse.significant and coarse.name in names
-    if stepped:  # certain, and it would be taken for a non-linear reading
-        said[coarse.name] = PRIOR.certain
+    steps, fitted = first.steps
+    step, truncated = float(steps.value[0]), "truncated" in steps.setting
+    stepped = steps.significant and steps.name in names
+    if stepped:  # certain, and they would be taken for a non-linear reading
+        said[steps.name] = PRIOR.certain
+        model = fitted.model
+        logged = centred(given, step) if truncated else given
+        fine = fine_innovations(logged, model)
         # Steps wider than the noise hide it in the differences of successive samples.
         level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.white))
-        recording = unrounded(given, model, step, fine.level)
+        recording = without_steps(given, model, step, fine.level, truncated)
         problem = problem_of(recording)
     tree: Tree | None = None
     for turn in range(_ROUNDS):
@@ -89,7 +92,8 @@ def answer(
         tree = Tree(start, allowed, base.model.terms, tree)
         before, model = recording, tree.best.fit.model
         if stepped and not turn:  # once more, with a better model
-            recording = unrounded(given, model, step, fine_innovations(given, model).level)
+            fine = fine_innovations(logged, model)
+            recording = without_steps(given, model, step, fine.level, truncated)
             problem = problem_of(recording)
         fine, found = singles_of(recording, model)
         for name in ("spikes", *("tone",) * _LINES):

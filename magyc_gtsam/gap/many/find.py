@@ -19,6 +19,7 @@ from magyc_gtsam.gap.many.one_log import OneLog, Test
 from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight
 from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh, weigh_variation
 from magyc_gtsam.gap.model.refit import refit, widened
+from magyc_gtsam.gap.naming.delay import with_free_delay
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.doubt import doubted
 from magyc_gtsam.gap.outcome.judged import judged
@@ -272,6 +273,7 @@ def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
 
 def _calibration(log: OneLog) -> Calibration:
     """Return the calibration with the effects as terms; covariance and verdict include the remaining misfit."""
-    fitted = widened(refit(log.refitted.twin.problem, log.refitted.model, log.short_term))
+    model = with_free_delay(log.refitted.model)
+    fitted = widened(refit(log.refitted.twin.problem, model, log.short_term))
     found = judged(as_calibration(fitted, None), fitted, log.recording, None)[0]
     return replace(found, diagnostics={**found.diagnostics, "recordings": [fingerprint(log.recording)]})

@@ -8,26 +8,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
+from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.model.refit import refit
-from magyc_gtsam.gap.naming.named import Named
+from magyc_gtsam.gap.model.problem import Model
 
 _DELAY = "timing"
 
 
-def with_free_delay(result: Named, short_term: SensorNoise) -> Named:
-    """Return the named effects with a free delay in their model, unless an effect in it contains the delay.
+def with_free_delay(model: Model) -> Model:
+    """Return a model with named effects with a free delay, unless one of them contains the delay.
 
-    Without any effect the model remains the one without a delay: the misalignment that is then estimated beside it
-    includes the rotation by a delay.
+    A model without any effect remains without a delay: the misalignment that is then estimated beside it includes the
+    rotation by a delay.
     """
-    model = result.fitted.model
     if not model.terms or any(_contains_delay(term.name) for term in model.terms):
-        return result
+        return model
     free = model.free.copy()
     free[DELAY] = True
-    return replace(result, fitted=refit(result.fitted.twin.problem, replace(model, free=free), short_term))
+    return replace(model, free=free)
 
 
 def _contains_delay(name: str) -> bool:

@@ -29,7 +29,7 @@ from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.samples.fine import First
+from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
 
@@ -225,7 +225,7 @@ def _without_channel(name: str, twin: Twin) -> list[str]:
 
 def _noise(said: Answer, first: First, fitted: Refit, stated: Mapping[str, float]) -> Iterator[Found]:
     """Yield the effects on single samples, and correlated noise where the field does not vary."""
-    scores = [*said.left_out, *(one for one in first.noise if one.name == "quantisation")]
+    scores = [*said.left_out, first.steps[0]]
     if stated.get(COLOUR, 0.0) > PRIOR.named_from and not said.tree.best.of_colour[0]:
         scores += [one for one in First(said.recording, fitted).noise if one.name == COLOUR]
     yield from (as_found(score) for score in scores if stated.get(score.name, 0.0) > PRIOR.named_from)

@@ -56,7 +56,15 @@ def _noise_sentence(noise: NoiseScore) -> str:
     if noise.name == "spikes":
         return f"{setting['count']:.0f} single magnetometer samples are wrong by {value * 1e6:.2g} µT and were left out"
     if noise.name == "quantisation":
-        return f"the magnetometer's resolution is {value * 1e6:.2g} µT, {setting['ratio']:.1f} times its noise"
+        resolution = (
+            f"the magnetometer's resolution is {value * 1e6:.2g} µT, {setting['ratio']:.1f} times its noise"
+        )
+        if "truncated" not in setting:
+            return resolution
+        return (
+            f"{resolution}, and its readings are truncated towards zero instead of rounded: before they are "
+            "calibrated, half a step is to be added to positive and subtracted from negative ones"
+        )
     if noise.name == FIELD_VARIATION:
         return (
             f"the field of the place varies by {value * 1e6:.2g} µT along the way and with attitude: sigmas allow "

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +11,10 @@ from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.model.problem import Model, Problem
-from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.motion_lines import follows_motion
-from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation, tone
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, tone
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
@@ -84,26 +82,3 @@ def single_scores(recording: Recording, fine: Fine, limit: float) -> tuple[Noise
     if line.significant and follows_motion(recording, line.setting["frequency"], float(line.value[0])):
         line = replace(line, significant=False)
     return spiky, line
-
-
-@dataclass(frozen=True, eq=False)
-class First:
-    """The fitted model without effects of a recording, and the tests of single samples beside it."""
-
-    recording: Recording
-    refit: Refit
-
-    @cached_property
-    def fine(self) -> Fine:
-        """Return the innovations sample by sample."""
-        return fine_innovations(self.recording, self.refit.model)
-
-    @cached_property
-    def noise(self) -> list[NoiseScore]:
-        """Return the tests of the effects on single samples."""
-        fine = self.fine
-        return [
-            *single_scores(self.recording, fine, NOISE_LIMIT),
-            coloured_noise(fine.calm, fine.rate, fine.level, NOISE_LIMIT),
-            quantisation(self.recording, fine.white),
-        ]

@@ -208,6 +208,12 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
     return NoiseScore.counted("quantisation", ratio, coarse, coarse, np.array([step]), setting)
 
 
+def truncating(quantised: NoiseScore) -> NoiseScore:
+    """Return the test of readings that were truncated towards zero, from that of readings on a lattice."""
+    setting = {**quantised.setting, "truncated": 1.0}
+    return NoiseScore.counted("quantisation", quantised.statistic, True, True, quantised.value, setting)
+
+
 def lattice(values: Array) -> float:
     """Return the step of the lattice of the values; 0 if they lie on none."""
     distinct = np.unique(values)
