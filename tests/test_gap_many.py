@@ -183,6 +183,29 @@ def test_a_weaker_effect_beside_a_strong_one_is_named() -> None:
     assert all(calibration.delay == pytest.approx(0.04, abs=0.01) for calibration in gap.calibrations.values())
 
 
+def test_steps_of_many_logs_are_undone() -> None:
+    simulations = [mg.simulate("wide", 100, seed=seed, magnetometer_noise=0.4e-6) for seed in (61, 62)]
+    cut = [1e-6 * np.trunc(one.recording.magnetic_field / 1e-6) for one in simulations]
+    logs = [replace(one.recording, magnetic_field=field) for one, field in zip(simulations, cut, strict=True)]
+    gap = mg.find_gap(logs, candidates=["quantisation", "timing", "cubic"])
+    assert [(effect.name, effect.of) for effect in gap.effects] == [("quantisation", "instrument")]
+    assert "truncated towards zero" in gap.sentence
+    for one, found in zip(simulations, gap.calibrations.values(), strict=True):
+        assert found.trusted
+        assert found.covariance is not None
+        error = found.hard_iron - one.truth.hard_iron
+        assert (np.abs(error) < 3.5 * np.sqrt(np.diag(found.covariance)[6:9])).all()
+
+
+def test_a_log_at_full_scale_among_many_is_doubted() -> None:
+    logs = [mg.simulate("wide", 100, seed=seed).recording for seed in (61, 62)]
+    logs[1] = replace(logs[1], magnetic_field=np.clip(logs[1].magnetic_field, -55e-6, 55e-6))
+    free, clipped = mg.find_gap(logs, candidates=["saturation", "timing"]).calibrations.values()
+    assert free.trusted
+    assert not clipped.trusted
+    assert clipped.message.startswith("axis z of the magnetometer cut off")
+
+
 def test_the_delay_is_estimated_beside_other_effects() -> None:
     logs = [mg.simulate("wide", 100, seed=seed, effects=["motor-current"]).recording for seed in (3, 4)]
     gap = mg.find_gap(logs, candidates=["motor-current"])

@@ -27,8 +27,6 @@ from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.problem import Model, Problem
 from magyc_gtsam.gap.model.root import root
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.samples.coarse import centred, without_steps
-from magyc_gtsam.gap.samples.fine import fine_innovations
 from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
@@ -70,30 +68,24 @@ def answer(
     """
     allowed = tuple(name for name in names if name in TERMS or name == COLOUR)
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
-    given, base = first.recording, first.refit
-    recording, problem, model = given, base.twin.problem, base.model
-    level = short_term
+    base = first.refit
+    recording, problem, level = first.recording, base.twin.problem, short_term
     left_out: list[NoiseScore] = []
-    steps, fitted = first.steps
-    step, truncated = float(steps.value[0]), "truncated" in steps.setting
+    steps = first.steps[0]
     stepped = steps.significant and steps.name in names
     if stepped:  # certain, and they would be taken for a non-linear reading
         said[steps.name] = PRIOR.certain
-        model = fitted.model
-        logged = centred(given, step) if truncated else given
-        fine = fine_innovations(logged, model)
-        # Steps wider than the noise hide it in the differences of successive samples.
-        level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.white))
-        recording = without_steps(given, model, step, fine.level, truncated)
+        recording, white = first.without_steps()
         problem = problem_of(recording)
+        # Steps wider than the noise hide it in the differences of successive samples.
+        level = short_term._replace(magnetometer=max(short_term.magnetometer, white))
     tree: Tree | None = None
     for turn in range(_ROUNDS):
         start = root(problem, _bare(base.model, level))
         tree = Tree(start, allowed, base.model.terms, tree)
         before, model = recording, tree.best.fit.model
         if stepped and not turn:  # once more, with a better model
-            fine = fine_innovations(logged, model)
-            recording = without_steps(given, model, step, fine.level, truncated)
+            recording, _ = first.without_steps(model)
             problem = problem_of(recording)
         fine, found = singles_of(recording, model)
         for name in ("spikes", *("tone",) * _LINES):
@@ -101,7 +93,7 @@ def answer(
             odds = log_odds(score)
             form = name == "spikes" and score.statistic < PRIOR.form_of_field * tree.best.of_field
             # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
-            rounded = stepped and name == "spikes" and score.value[0] < step
+            rounded = stepped and name == "spikes" and score.value[0] < steps.value[0]
             known_too = known > 0 and name != "tone"
             if name not in names or known_too or odds < PRIOR.hardly_single or form or rounded:
                 continue

@@ -21,7 +21,7 @@ from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh, weigh_variatio
 from magyc_gtsam.gap.model.refit import refit, widened
 from magyc_gtsam.gap.naming.delay import with_free_delay
 from magyc_gtsam.gap.outcome.corrected import as_calibration
-from magyc_gtsam.gap.outcome.doubt import doubted
+from magyc_gtsam.gap.outcome.doubt import doubt_of_clipped, doubted, why_clipped
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.verdict import among, missing
 from magyc_gtsam.gap.result import Doubt, Verdict
@@ -251,7 +251,7 @@ def _with_variation(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, .
 
 
 def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
-    calibrations = {log.name: _calibration(log) for log in state.logs}
+    calibrations = {log.name: _calibration(log, not state.unknown) for log in state.logs}
     effects = (*told(state.added, state.logs, calibrations), *noise)
     where = _missing(state.unknown, state.logs, state.names) if state.unknown else ""
     if where:
@@ -271,9 +271,17 @@ def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
     return GapOfMany(verdict, said, effects, state.own, weights, calibrations)
 
 
-def _calibration(log: OneLog) -> Calibration:
-    """Return the calibration with the effects as terms; covariance and verdict include the remaining misfit."""
+def _calibration(log: OneLog, complete: bool) -> Calibration:
+    """Return the calibration with the effects as terms; covariance and verdict include the remaining misfit.
+
+    Args:
+        log: with the effects in its model.
+        complete: whether no effect outside the catalogue is missing.
+    """
     model = with_free_delay(log.refitted.model)
     fitted = widened(refit(log.refitted.twin.problem, model, log.short_term))
     found = judged(as_calibration(fitted, None), fitted, log.recording, None)[0]
+    why = "" if log.clipped is None else why_clipped(log.clipped, found, complete)
+    if log.clipped is not None and why:
+        found = doubted(found, doubt_of_clipped(log.clipped, why))
     return replace(found, diagnostics={**found.diagnostics, "recordings": [fingerprint(log.recording)]})

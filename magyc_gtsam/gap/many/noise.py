@@ -53,6 +53,7 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
         InLog(log.name, p, size[None], np.full(1, np.nan), dict(one.setting))
         for (log, one, p), size in zip(here, each, strict=True)
     )
+    truncated = ", truncated towards zero" if all("truncated" in one.setting for _, one, _ in here) else ""
     whose = "in the instrument, in" if instrument else "from the place or the day, in"
     return SharedEffect(
         name,
@@ -68,7 +69,7 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
         float("nan"),
         (),
         inside,
-        f"{whose} {len(here)} of {len(logs)} logs: {LABELS[name]}",
+        f"{whose} {len(here)} of {len(logs)} logs: {LABELS[name]}{truncated}",
     )
 
 

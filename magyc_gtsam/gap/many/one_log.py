@@ -20,14 +20,16 @@ from magyc_gtsam.gap.evidence.noise import singles_of
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale, scales_of
 from magyc_gtsam.gap.many.model import MODEL
+from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
 from magyc_gtsam.gap.model.root import TooSmoothError, root
 from magyc_gtsam.gap.prepared import Prepared
-from magyc_gtsam.gap.samples.fine import fine_innovations
-from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation
+from magyc_gtsam.gap.samples.first import First
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.sensor_faults.full_scale import ClippedField
 
 _OF_THE_LOG = ("start", "end")  # settings that belong to one recording, as the references of channels do
 
@@ -82,11 +84,12 @@ class OneLog:
 
     Attributes:
         name: of the log.
-        recording: with its axes and rows corrected.
+        recording: with its axes, rows and steps corrected.
         short_term: noise of the sensors from sample to sample.
         refitted: the model at its minimum, with this noise.
         variation: of the field of the place, if that is in the model.
         discrete: effects that were detected and corrected before the estimation.
+        clipped: samples at the magnetometer's full scale, too many to be harmless.
     """
 
     name: str
@@ -95,6 +98,7 @@ class OneLog:
     refitted: Refit
     variation: FieldVariation | None = None
     discrete: tuple[NoiseScore, ...] = ()
+    clipped: ClippedField | None = None
 
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str], name: str) -> OneLog:
@@ -110,14 +114,18 @@ class OneLog:
         if ready.usable.bit is not None:
             raise MagycError(ready.usable.bit.sentence)
         data, base, short_term = ready.recording, ready.base, ready.short_term
-        white = fine_innovations(data, base.model).white
-        if quantisation(data, white).significant:  # steps hide the noise between neighbouring samples
+        problem, discrete, first = base.twin.problem, ready.discrete, First(data, base)
+        if first.steps[0].significant and first.steps[0].name in names:
+            discrete = (*discrete, first.steps[0])
+            data, white = first.without_steps()
+            problem = problem_of(data)
+            # Steps hide the noise between neighbouring samples.
             short_term = short_term._replace(magnetometer=max(short_term.magnetometer, white))
         try:
-            start = root(base.twin.problem, replace(base.model, noise=short_term))
+            start = root(problem, replace(base.model, noise=short_term))
         except TooSmoothError:
             raise MagycError(ready.too_smooth()[0]) from None
-        return cls(name, data, short_term, start, discrete=ready.discrete)
+        return cls(name, data, short_term, start, discrete=discrete, clipped=ready.usable.clipped)
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
         """Return the log with one more effect in the model, after a joint refit.
@@ -197,9 +205,7 @@ class OneLog:
         Beside a varying field, which correlates the innovations, correlated noise cannot be tested.
         """
         fine, singles = singles_of(self.recording, self.refitted.model)
-        scores = {
-            score.name: score for score in (*self.discrete, quantisation(self.recording, fine.white))
-        } | singles
+        scores = {score.name: score for score in self.discrete} | singles
         if self.variation is None:
             scores[COLOUR] = coloured_noise(fine.calm, fine.rate, fine.level, MODEL.alone)
         return scores

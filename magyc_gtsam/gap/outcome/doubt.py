@@ -31,24 +31,40 @@ def doubted(calibration: Calibration, doubt: Doubt) -> Calibration:
 
 def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
     """Return the gap, open unless saturation is in the model and the clipped share is small enough for its form."""
-    if clipped is None:
+    complete = gap.verdict in ("none", "closed")
+    why = "" if clipped is None else why_clipped(clipped, gap.calibration, complete)
+    if clipped is None or not why:
         return gap
-    named = any(term.name == "saturation" for term in gap.calibration.terms)  # found in this search, or given
-    if named and clipped.share <= RULES.cut_off and gap.verdict in ("none", "closed"):
-        return gap
-    why = "which the search did not name" if not named else "and something else is missing"
-    if clipped.share > RULES.cut_off:
-        why = f"at most {RULES.cut_off:.0%} can be modelled"
-    action = "choose a larger full scale, or move what is magnetic away from the sensor"
-    axes = f"axis {clipped.axes}" if len(clipped.axes) == 1 else f"axes {' and '.join(clipped.axes)}"
-    doubt = Doubt(f"{axes} of the magnetometer cut off, {why}", action)
+    doubt = doubt_of_clipped(clipped, why)
     doubted_gap = replace(
         gap,
         verdict=gap.verdict if gap.verdict == "not enough information" else "open",
-        sentence=f"{clipped.where}, {why}: {action}; {gap.sentence}",
+        sentence=f"{clipped.where}, {why}: {doubt.action}; {gap.sentence}",
         base=doubted(gap.base, doubt),
     )
     return with_doubt(doubted_gap, doubt)
+
+
+def why_clipped(clipped: ClippedField, calibration: Calibration, complete: bool) -> str:
+    """Return why readings at full scale spoil a calibration, "" if they do not: saturation is in it.
+
+    Args:
+        clipped: the readings, too many to be harmless.
+        calibration: with the effects of the search as terms.
+        complete: whether nothing else is missing.
+    """
+    if clipped.share > RULES.cut_off:
+        return f"at most {RULES.cut_off:.0%} can be modelled"
+    if not any(term.name == "saturation" for term in calibration.terms):  # found in this search, or given
+        return "which the search did not name"
+    return "" if complete else "and something else is missing"
+
+
+def doubt_of_clipped(clipped: ClippedField, why: str) -> Doubt:
+    """Return the doubt about a calibration that readings at full scale spoil, for the reason of `why_clipped`."""
+    axes = f"axis {clipped.axes}" if len(clipped.axes) == 1 else f"axes {' and '.join(clipped.axes)}"
+    action = "choose a larger full scale, or move what is magnetic away from the sensor"
+    return Doubt(f"{axes} of the magnetometer cut off, {why}", action)
 
 
 def with_stuck_bit(gap: Gap, bit: StuckBit | None) -> Gap:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.coarse import truncated_fit
+from magyc_gtsam.gap.samples.coarse import centred, truncated_fit, without_steps
 from magyc_gtsam.gap.samples.fine import NOISE_LIMIT, Fine, fine_innovations, single_scores
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation, truncating
 from magyc_gtsam.recording import Recording
@@ -34,6 +35,18 @@ class First:
             coloured_noise(fine.calm, fine.rate, fine.level, NOISE_LIMIT),
             self.steps[0],
         ]
+
+    def without_steps(self, model: Model | None = None) -> tuple[Recording, float]:
+        """Return the recording without the mean error of its steps, and the white noise of its readings before, T.
+
+        Args:
+            model: that predicts the readings; None for the one without effects.
+        """
+        steps, fitted = self.steps
+        step, truncated = float(steps.value[0]), "truncated" in steps.setting
+        model = model or fitted.model
+        fine = fine_innovations(centred(self.recording, step) if truncated else self.recording, model)
+        return without_steps(self.recording, model, step, fine.level, truncated), fine.white
 
     @cached_property
     def steps(self) -> tuple[NoiseScore, Refit]:
