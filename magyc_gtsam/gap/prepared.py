@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.truncated import without_truncation
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.refit import Refit
@@ -32,8 +33,8 @@ class Prepared:
 
     Attributes:
         usable: the recording as it was given, without faults of the sensors.
-        recording: with its channels' pauses, axes, rows and known tones corrected.
-        left_out: what was left out for its channels' pauses, in words.
+        recording: with its channels' pauses, axes, rows, known tones and truncated rates corrected.
+        left_out: what was left out for its channels' pauses and truncated rates, in words.
         discrete: tests of the effects that were corrected.
         short_term: noise of the sensors from sample to sample.
         base: the fitted model without further effects.
@@ -61,6 +62,15 @@ class Prepared:
         recording = silenced(recording, tones)
         short_term = short_term_noise(recording)
         base = base_model(recording, calibration, short_term)
+        recording, _, truncated = without_truncation(
+            recording,
+            base.twin.fit(),
+            lambda again: base_model(again, calibration, short_term).twin.fit(),
+            ("gyroscope",),
+        )
+        if truncated:
+            left_out += [one.sentence for one in truncated]
+            base = base_model(recording, calibration, short_term)
         return cls(usable, recording, left_out, discrete, short_term, base)
 
     def untestable(self) -> tuple[str, Doubt] | None:

@@ -20,7 +20,8 @@ class Rules:
     # nats that two fitted parameters of a noise model may gain by chance (with a margin)
     chance: float = 9.0
     coarse: float = 0.7  # step in sigmas above which quantisation is an effect
-    # the same for readings that are truncated: the jump where their sign changes is not blurred by noise
+    # the same for readings that are truncated: noise does not blur the jump where their sign changes; steps of a fifth
+    # of the noise bend the reading so that they were called a cubic
     truncated: float = 0.2
     contradicted: float = 4.0  # sigmas above which the data contradict a parameter of a given calibration
     # sigma, relative to the prior's, up to which the data determine a direction of the values

@@ -36,6 +36,7 @@ from magyc_gtsam.estimators.smoother.preparation import Streams, stamps_remark
 from magyc_gtsam.estimators.smoother.reasons import contradicted_options, disturbed_end, doubts_of, jumped
 from magyc_gtsam.estimators.smoother.search import Progress, fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import on_skew
+from magyc_gtsam.estimators.smoother.truncated import with_truncation, without_truncation
 from magyc_gtsam.estimators.smoother.vertical import upright_facts
 from magyc_gtsam.factors.chain.chain_values import DELAY, PARAMETERS
 from magyc_gtsam.factors.chain.facts import quadratic, strength_of
@@ -62,6 +63,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     if options.clock_drift:
         recording = restamped(recording, options.clock_drift)
     fit = fit_field_chain(recording, options, progress=report)
+    recording, fit, truncated = without_truncation(recording, fit, lambda again: fit_field_chain(again, options))
     unexplained = model_error(fit, recording)
     doubts = prior_contradictions(recording, options, fit, unexplained)
     calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
@@ -89,7 +91,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         doubts = [doubt, *doubts] if doubt else doubts
         calibration = calibration_of(corrected, fit, options, doubts=doubts)
     report(1.0)
-    return with_drift(calibration, drift)
+    return with_truncation(with_drift(calibration, drift), truncated)
 
 
 def _of(recording: Recording, options: SmootherOptions) -> Calibration:

@@ -21,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
+from magyc_gtsam.estimators.smoother.truncated import nats_gained
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model.base import problem_of
@@ -89,8 +90,6 @@ def centred(recording: Recording, step: float) -> Recording:
 def truncated_fit(recording: Recording, step: float, base: Refit) -> tuple[float, Refit]:
     """Return the nats by which readings are explained better as truncated than as rounded, and their model so.
 
-    The level of the misfit is a parameter of both likelihoods, so that a missing effect adds to neither.
-
     Args:
         recording: the data with readings as they were logged.
         step: T, of the readings.
@@ -103,5 +102,4 @@ def truncated_fit(recording: Recording, step: float, base: Refit) -> tuple[float
         fitted = refit(problem_of(centred(recording, step)), base.model, None)
     except MagycError:
         return -np.inf, base  # no minimum
-    before, after = (one.twin.residual() for one in (base, fitted))
-    return 0.5 * before.size * float(np.log((before**2).sum() / (after**2).sum())), fitted
+    return nats_gained(base.twin.fit(), fitted.twin.fit()), fitted
