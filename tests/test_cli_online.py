@@ -416,6 +416,11 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
             "field_strength: must be a number of tesla, got 'strong'",
         ),
         (("{log}", "--option", "horizon=long"), "horizon: must be a finite number of at least 120, got 'long'"),
+        (
+            ("{log}", "--output", "one.yaml", "--state", "./one.yaml"),
+            "one.yaml is the --output too; give two files",
+        ),
+        (("{log}", "--magnetic-unit", "counts"), "needs the field in tesla; give the tesla per count"),
         (("{log}", "--method", ""), "'' is not one of smoother, magyc-ifg"),
         (("{log}", "--output", "{log}/there.yaml"), "expected a folder, this is a file"),
         (("{log}", "--state", "{log}/there.state"), "expected a folder, this is a file"),

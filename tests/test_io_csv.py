@@ -122,8 +122,15 @@ def test_wrong_unit_is_named(tmp_path: Path) -> None:
         "read in uT, as requested, though the header says T" in n for n in read(labelled, magnetic_unit="uT").notes
     )
     mixed = write(tmp_path / "c.csv", "t,mx (T),my (T),mz (uT)", TIME, FIELD)
-    with pytest.raises(MagycError, match="different units in the header"):
+    with pytest.raises(MagycError, match=r"mz \(uT\): different units in the header; .*magnetic_unit="):
         read(mixed)
+    first = write(tmp_path / "d.csv", "t,mx (uT),my,mz", TIME, FIELD * 1e6)
+    assert read(mixed, magnetic_unit="T").notes[0].endswith("though the header says T, uT")
+    np.testing.assert_allclose(read(first, magnetic_unit="uT").magnetic_field, FIELD, rtol=1e-12)
+    with pytest.raises(MagycError, match=r"mx \(uT\), my, mz: different units in the header"):
+        read(first)
+    alike = write(tmp_path / "e.csv", "t,mx (uT),my (µT),mz (microtesla)", TIME, FIELD * 1e6)
+    np.testing.assert_allclose(read(alike).magnetic_field, FIELD, rtol=1e-12)
 
 
 def test_unit_of_time_is_asked_for(tmp_path: Path) -> None:

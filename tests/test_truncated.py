@@ -20,7 +20,7 @@ def _sigmas(calibration: mg.Calibration, simulation: Simulation) -> float:
 
 @pytest.mark.parametrize("spread", [0.8, 1.0, 3.0])
 def test_zero_is_counted_too_often(spread: float) -> None:
-    """Of a sensor at rest with an offset, beside a motion; its noise is in steps (of less the fit must decide alone)."""
+    """Of a sensor at rest with an offset, beside a motion; its noise is in steps; of less the fit decides."""
     random = np.random.default_rng(1)
     rest = 0.4 + spread * random.standard_normal((20_000, 3))
     reading = np.concatenate([rest, 40 * random.standard_normal((5_000, 3))])

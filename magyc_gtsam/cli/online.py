@@ -99,10 +99,17 @@ def run(
     from magyc_gtsam.cli.online_session import Session
     from magyc_gtsam.cli.online_view import view
     from magyc_gtsam.io.request import Request
+    from magyc_gtsam.io.units import is_counts
     from magyc_gtsam.live.address import is_file, open_source
 
     if output.suffix not in (".yaml", ".yml", ".json"):
         raise typer.BadParameter(f"must end in .yaml or .json, got {output}", param_hint="--output")
+    if state is not None and state.resolve() == output.resolve():
+        raise typer.BadParameter(f"{state} is the --output too; give two files", param_hint="--state")
+    if magnetic_unit is not None and is_counts("magnetic_field", magnetic_unit):
+        raise typer.BadParameter(
+            "a calibration needs the field in tesla; give the tesla per count", param_hint="--magnetic-unit"
+        )
     if picture is not None and not json:
         raise given.without_effect("--picture", "--json")
     from magyc_gtsam.recording.axes import parse_axes

@@ -53,16 +53,25 @@ class SensorColumns:
     columns: tuple[Column, ...]
 
     @property
-    def unit(self) -> str | None:
-        """The unit that the header names; None if it names none.
+    def units(self) -> list[str]:
+        """Return the units that the header names, as written, each once."""
+        return list(dict.fromkeys(c.unit for c in self.columns if c.unit is not None))
+
+    def unit_of(self, sensor: str) -> str | None:
+        """Return the unit of all columns; None if the header names none.
 
         Raises:
-            MagycError: the columns name different units.
+            MagycError: the columns have different units, or some have none.
         """
-        units = {c.unit for c in self.columns}
-        if len(units) > 1:
-            raise MagycError(f"columns {self.label}: different units in the header ({units})")
-        return units.pop()
+        if not self.units:
+            return None
+        if len({c.unit and lookup(sensor, c.unit) for c in self.columns}) > 1:
+            written = ", ".join(c.written for c in self.columns)
+            option = f"{sensor.partition('_')[0]}_unit="
+            raise MagycError(
+                f"columns {shortened(written)}: different units in the header; name the unit of all ({option})"
+            )
+        return self.units[0]
 
 
 def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:

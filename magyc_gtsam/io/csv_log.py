@@ -26,7 +26,7 @@ from magyc_gtsam.io.growing import GrowingColumns
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
-from magyc_gtsam.io.units import factor
+from magyc_gtsam.io.units import factor, lookup
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.applied import CALIBRATED
 from magyc_gtsam.recording.checks import NO_GYROSCOPE
@@ -226,9 +226,11 @@ def _channel_columns(table: Table, used: set[int], request: Request, notes: list
 
 def _scale(sensor: str, group: SensorColumns, request: Request, notes: list[str]) -> float:
     """Return the factor to SI units, by the unit of the request or else the header."""
-    scale = request.scale(sensor, factor(sensor, group.unit), notes)
-    if group.unit is not None and scale != factor(sensor, group.unit):
-        notes[-1] += f", though the header says {group.unit}"
+    if request.units.get(sensor) is None:
+        return factor(sensor, group.unit_of(sensor))
+    scale = request.scale(sensor, notes=notes)
+    if any(lookup(sensor, unit) != scale for unit in group.units):
+        notes[-1] += f", though the header says {listed(group.units)}"
     return scale
 
 

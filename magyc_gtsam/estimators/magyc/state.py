@@ -18,6 +18,7 @@ from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech, vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative
 from magyc_gtsam.factors.priors import determinant_prior, norm_prior
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT, assess
 from magyc_gtsam.recording import Array, Recording
 
@@ -49,8 +50,13 @@ def scale_prior(kind: Prior, sigma: float, windows: int = 1) -> gtsam.CustomFact
     Raises:
         MagycError: unknown prior.
     """
-    if not isinstance(kind, str) or kind not in _PRIORS:
-        raise MagycError(f"prior {kind!r} unknown; there are {', '.join(_PRIORS)}")
+    there = ", ".join(_PRIORS)
+    if not isinstance(kind, str):
+        raise MagycError(
+            f"prior: this method's is one of {there}; an earlier calibration is a prior of 'smoother' alone"
+        )
+    if kind not in _PRIORS:
+        raise MagycError(f"prior {shortened(kind)!r} unknown; there are {there}")
     return _PRIORS[kind](INVERSE_SOFT_IRON, sigma / np.sqrt(windows))
 
 
