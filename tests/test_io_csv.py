@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import magyc_gtsam as mg
+from magyc_gtsam import cli
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.log_info import turned
@@ -71,6 +73,20 @@ def test_values_are_exact_and_stamps_to_the_nanosecond(tmp_path: Path) -> None:
     back = read(tmp_path / "b.csv")
     np.testing.assert_allclose(back.time, TIME, atol=1e-12)
     assert "time 0 is 2021-05-03T00:00:00.000000001Z (1620000000.000000001 s)" in back.notes
+
+
+def test_a_clock_that_begins_below_zero(tmp_path: Path) -> None:
+    """Its fraction of a second was counted from the second below, in the note and in what `apply` wrote."""
+    log = write(tmp_path / "a.csv", "time_s,mx,my,mz,gx,gy,gz", np.round(TIME - 0.245, 3), FIELD, RATE)
+    assert read(log).notes == ("time 0 is -0.245000000 s on the log's own clock",)
+    mg.Calibration(np.eye(3), np.zeros(3)).save(tmp_path / "cal.yaml")
+    apply = ["apply", str(tmp_path / "cal.yaml"), str(log), "-q", "-o"]
+    cli.main([*apply, str(tmp_path / "out.csv")])
+    lines = [path.read_text().splitlines()[1:] for path in (log, tmp_path / "out.csv")]
+    before, after = ([float(line.split(",")[0]) for line in each] for each in lines)
+    assert before == after
+    assert cli.main([*apply, str(tmp_path / "out.mcap")]) == 2
+    assert not (tmp_path / "out.mcap").exists()
 
 
 def test_named_columns(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import typer
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing
 from magyc_gtsam.cli.options import with_groups
-from magyc_gtsam.cli.reading import Reading, epoch
+from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.terminal import complain, concluded, refused, show, stages
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def run(
     from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.recording.applied import as_calibrated, is_calibrated
+    from magyc_gtsam.recording.time_zero import time_zero_of
     from magyc_gtsam.report.verdict import judged
 
     if output.suffix.lower() not in (".mcap", ".csv"):
@@ -81,7 +82,7 @@ def run(
         if output.suffix.lower() == ".mcap":
             copied = _write_mcap(part, reading, result, lag, writing)
         else:
-            _write_csv(part, without_lag(result, lag), epoch(recording))
+            _write_csv(part, without_lag(result, lag), time_zero_of(recording))
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(result.magnetometer.time)} samples of the calibrated field{copied}")
@@ -99,6 +100,7 @@ def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float,
     from magyc_gtsam.calibration.calibrated import without_lag
     from magyc_gtsam.io import write_mcap
     from magyc_gtsam.io.mcap_copy import copy_mcap
+    from magyc_gtsam.recording.time_zero import time_zero_of
 
     with open(reading.log, "rb") as file:
         is_mcap = file.read(5) == b"\x89MCAP"
@@ -108,7 +110,7 @@ def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float,
             reading.log,
             path,
             calibrated,
-            epoch(calibrated),
+            time_zero_of(calibrated),
             dict(zip(("magnetic_field", "angular_rate"), named, strict=True)),
             lag,
             reading.stamps == "log",
@@ -117,13 +119,15 @@ def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float,
         if count is not None:
             left_out = f", {count.left_out} without a sample left out" if count.left_out else ""
             return f"; {count.unchanged} messages of other topics copied unchanged{left_out}"
-    write_mcap(path, without_lag(calibrated, lag), epoch=epoch(calibrated))
+    write_mcap(path, without_lag(calibrated, lag), epoch=time_zero_of(calibrated))
     return "; other topics are not in it" if is_mcap else ""
 
 
 def _write_csv(path: Path, recording: Recording, origin: int) -> None:
     """Write a table with units in the header; cells without a true sample of their sensor are empty."""
     import numpy as np
+
+    from magyc_gtsam.recording.time_zero import seconds_of
 
     columns: list[tuple[list[str], np.ndarray, np.ndarray]] = []
     stamps = np.round(recording.time * 1e9).astype(np.int64) + origin
@@ -145,7 +149,7 @@ def _write_csv(path: Path, recording: Recording, origin: int) -> None:
         writer = csv.writer(file)
         writer.writerow(["time_s", *(name for names, _, _ in columns for name in names)])
         for row, stamp in enumerate(stamps.tolist()):
-            cells: list[float | str] = [f"{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"]
+            cells: list[float | str] = [seconds_of(stamp)]
             for names, value, rows in columns:
                 known = rows[row] and np.isfinite(value[row]).all()
                 cells += value[row].tolist() if known else [""] * len(names)

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 _EXPONENT = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)[eE][+-]?\d+$")
 # Numbers of YAML 1.2, in which 1e-9, without a decimal point, is a number.
 _YAML_1_2 = {"tag:yaml.org,2002:float": (_EXPONENT, list("+-.0123456789"))}
-_EPOCH = re.compile(r"time 0 is .*?(\d+)\.(\d{9}) s")
 
 
 @dataclass(frozen=True)
@@ -102,12 +101,6 @@ def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
         except MagycError:
             raise MagycError(f"{option}: the value of {pair!r} cannot be read") from None
     return result
-
-
-def epoch(recording: Recording) -> int:
-    """Return the stamp (ns) of the log's clock at the recording's time 0, by the reader's note; 0 without one."""
-    match = next((m for m in map(_EPOCH.search, recording.notes) if m), None)
-    return int(match[1]) * 1_000_000_000 + int(match[2]) if match else 0
 
 
 def parse_unit(text: str | None) -> str | float | None:

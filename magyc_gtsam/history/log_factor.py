@@ -9,7 +9,6 @@ separately. Noise levels, field directions and robust weights are eliminated, so
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -26,6 +25,7 @@ from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_i
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.fingerprint import fingerprint
+from magyc_gtsam.recording.time_zero import time_zero_of
 
 HARD_IRON, GYRO_BIAS = slice(-6, -3), slice(-3, None)
 SHARED, OBSERVED = slice(None, -6), slice(None, -3)  # indices of s, or of s and g; and of these with h
@@ -41,7 +41,6 @@ _SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
 }
 _WEAK = 10.0  # ratio of the weak prior's deviation to the prior's; the weak priors of a hundred logs count as one prior
 _UNKNOWN_BIAS = 1e3  # mrad/s, standard deviation of a bias that the method does not estimate
-_EPOCH = re.compile(r"time 0 is .*?(\d+\.\d{9}) s")  # the format of the readers in the notes of a recording
 _CALENDAR = 1e8  # s since 1970; a clock below this does not show the date
 
 
@@ -258,10 +257,5 @@ def calibration_of(
 
 def date_of(recording: Recording) -> float | None:
     """Return the middle of a recording in s since 1970; None if its clock does not show the date."""
-    middle = 0.5 * float(recording.time[0] + recording.time[-1])
-    for note in recording.notes:
-        epoch = _EPOCH.search(note)
-        if epoch:
-            middle += float(epoch[1])
-            break
+    middle = 0.5 * float(recording.time[0] + recording.time[-1]) + time_zero_of(recording) / 1e9
     return middle if middle > _CALENDAR else None

@@ -59,7 +59,7 @@ def write_mcap(
     if stamp[0] < 0 or stamp[-1] >= _LATEST:
         raise MagycError(
             f"stamps from {stamp[0] / 1e9:.3f} to {stamp[-1] / 1e9:.3f} s do not fit a ROS header "
-            "(0 to 2^31 s); choose another epoch (ns at the recording's time 0)"
+            "(0 to 2^31 s); choose another epoch (ns at the recording's time 0), or write a table (.csv)"
         )
     topics = list(_topics(recording, stamp))
     topic_of_row = np.concatenate([np.full(len(t.stamp), i) for i, t in enumerate(topics)])

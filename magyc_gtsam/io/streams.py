@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta, timezone
 from typing import Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.checks import FIELD_RANGE, given_away, impossible_rates
+from magyc_gtsam.recording.time_zero import time_zero_note
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -24,7 +24,6 @@ _SECOND = 1_000_000_000  # ns
 _ABSENT = 0.05  # share of finite numbers below which an axis is absent; two alternating sensors leave half
 _MOST_INVALID = 0.5  # largest share of samples that can be left out as invalid
 _LONGEST_PAUSE = 30 * 86400 * _SECOND  # a longer one is a clock without a battery, set to the date while recording
-_YEAR_2000 = 946_684_800 * _SECOND  # earlier stamps count from boot, not from 1970
 _REPEATED = (
     "use the times of recording if the format has them (stamps='log'), or name one source if two publish on "
     "one topic"
@@ -125,7 +124,7 @@ def assemble(
         attitude=relative(clean["attitude"]) if "attitude" in clean else None,
         channels={k: relative(s) for k, s in usable.items()},
         name=name,
-        notes=(*first_of(remarks, "notes"), _epoch_note(zero)),
+        notes=(*first_of(remarks, "notes"), time_zero_note(zero)),
         angular_rate_is=angular_rate_is,
         attitude_is=attitude_is,
         magnetic_field_unit="counts" if counts else "T",
@@ -261,12 +260,3 @@ def _part(stream: Stream, origin: int, start: float | None, end: float | None) -
     first = -np.inf if start is None else start
     last = np.inf if end is None else end
     return stream.rows((elapsed >= first) & (elapsed <= last))
-
-
-def _epoch_note(zero: int) -> str:
-    """Return the note that gives the stamp (ns) of time 0."""
-    seconds = f"{zero // _SECOND}.{zero % _SECOND:09d} s"
-    if zero < _YEAR_2000:
-        return f"time 0 is {seconds} on the log's own clock"
-    moment = datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(seconds=zero // _SECOND)
-    return f"time 0 is {moment:%Y-%m-%dT%H:%M:%S}.{zero % _SECOND:09d}Z ({seconds})"
