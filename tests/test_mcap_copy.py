@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.io.ros2 import definition
 
@@ -125,4 +128,43 @@ def test_a_damaged_log_is_refused(log: Path, tmp_path: Path, capsys: pytest.Capt
     cut.write_bytes(log.read_bytes()[:-3000])
     assert cli.main(["apply", str(tmp_path / "cal.yaml"), str(cut), "-q", "-o", str(tmp_path / "out.mcap")]) == 2
     assert "is damaged" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def rewritten(source: Path, target: Path, change: Callable[[bytes], bytes]) -> Path:
+    """A copy of a log with other data in the magnetometer's messages."""
+    with open(source, "rb") as read, open(target, "wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        ids: dict[str, int] = {}
+        for schema, channel, message in make_reader(read).iter_messages():
+            if channel.topic not in ids:
+                own = 0 if schema is None else writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, own)
+            data = change(message.data) if channel.topic == "/imu/mag" else message.data
+            writer.add_message(ids[channel.topic], message.log_time, data, message.publish_time)
+        writer.finish()
+    return target
+
+
+def test_a_delay_where_the_header_is_empty(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is taken from the stamps in use, those of the recorder; every message was lost without a word."""
+    blank = rewritten(log, tmp_path / "blank.mcap", lambda data: data[:4] + bytes(8) + data[12:])
+    late = replace(CALIBRATION, terms=(Term("timing", [0.25], [[1e-6]]),))
+    late.save(tmp_path / "cal.yaml")
+    out = tmp_path / "out.mcap"
+    apply = ["apply", str(tmp_path / "cal.yaml"), "-o", str(out)]
+    assert cli.main([*apply, str(blank), "--stamps", "log"]) == 0
+    assert "300 samples of the calibrated field" in capsys.readouterr().out
+    stamps = [{m[4]: m[7][4:12] for m in contents(file)[0] if m[0] == "/imu/mag"} for file in (blank, out)]
+    assert {at - 250_000_000: header for at, header in stamps[0].items()} == stamps[1]
+
+
+def test_a_log_without_a_message_that_can_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A header has no stamp before 0, where a delay may put the whole of a short log."""
+    write_mcap(tmp_path / "short.mcap", mg.simulate("wide", 5, seed=1).recording)
+    replace(CALIBRATION, terms=(Term("timing", [8.0], [[1e-6]]),)).save(tmp_path / "cal.yaml")
+    apply = ["apply", str(tmp_path / "cal.yaml"), str(tmp_path / "short.mcap"), "-o", str(tmp_path / "out.mcap")]
+    assert cli.main(apply) == 2
+    assert "less than the delay of 8.000 s" in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()

@@ -78,14 +78,13 @@ def run(
             result = as_calibrated(calibrated(calibration, recording))
         lag = lag_of(calibration)
         writing = stage("writing")
-        copied = ""
         if output.suffix.lower() == ".mcap":
-            copied = _write_mcap(part, reading, result, lag, writing)
+            written, remark = _write_mcap(part, reading, result, lag, writing)
         else:
-            _write_csv(part, without_lag(result, lag), time_zero_of(recording))
+            written, remark = _write_csv(part, without_lag(result, lag), time_zero_of(recording)), ""
         writing(1.0)
     if not quiet:
-        show(f"{output}: {len(result.magnetometer.time)} samples of the calibrated field{copied}")
+        show(f"{output}: {written} samples of the calibrated field{remark}")
     notes = [*notes, *uneven(result)]
     for note in notes:  # of the values that were written, whether or not their number is shown
         complain(f"note: {note}")
@@ -95,8 +94,14 @@ def run(
     return concluded(judged(calibration)) or int(bool(doubts))
 
 
-def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float, progress: Progress) -> str:
-    """Write the log with the vectors of its sensors replaced if it is MCAP, else the recording; return a remark."""
+def _write_mcap(
+    path: Path, reading: Reading, calibrated: Recording, lag: float, progress: Progress
+) -> tuple[int, str]:
+    """Write the log with the vectors of its sensors replaced if it is MCAP, else the recording.
+
+    Returns:
+        The number of samples of the field that were written, and a remark.
+    """
     from magyc_gtsam.calibration.calibrated import without_lag
     from magyc_gtsam.io import write_mcap
     from magyc_gtsam.io.mcap_copy import copy_mcap
@@ -118,13 +123,19 @@ def _write_mcap(path: Path, reading: Reading, calibrated: Recording, lag: float,
         )
         if count is not None:
             left_out = f", {count.left_out} without a sample left out" if count.left_out else ""
-            return f"; {count.unchanged} messages of other topics copied unchanged{left_out}"
-    write_mcap(path, without_lag(calibrated, lag), epoch=time_zero_of(calibrated))
-    return "; other topics are not in it" if is_mcap else ""
+            remark = f"; {count.unchanged} messages of other topics copied unchanged{left_out}"
+            return count.calibrated["magnetic_field"], remark
+    result = without_lag(calibrated, lag)
+    write_mcap(path, result, epoch=time_zero_of(calibrated))
+    return int(result.magnetic_field_stamped.sum()), "; other topics are not in it" if is_mcap else ""
 
 
-def _write_csv(path: Path, recording: Recording, origin: int) -> None:
-    """Write a table with units in the header; cells without a true sample of their sensor are empty."""
+def _write_csv(path: Path, recording: Recording, origin: int) -> int:
+    """Write a table with units in the header; cells without a true sample of their sensor are empty.
+
+    Returns:
+        The number of samples of the field.
+    """
     import numpy as np
 
     from magyc_gtsam.recording.time_zero import seconds_of
@@ -154,3 +165,4 @@ def _write_csv(path: Path, recording: Recording, origin: int) -> None:
                 known = rows[row] and np.isfinite(value[row]).all()
                 cells += value[row].tolist() if known else [""] * len(names)
             writer.writerow(cells)
+    return int(recording.magnetic_field_fresh.sum())

@@ -41,12 +41,12 @@ class CopyCounts:
 
     Attributes:
         unchanged: copied byte for byte.
-        calibrated: copied with the sensor's vector replaced.
+        calibrated: of each sensor, copied with its vector replaced.
         left_out: messages of the sensors without a sample in the recording (outside the interval, or faulty).
     """
 
+    calibrated: dict[str, int]
     unchanged: int = 0
-    calibrated: int = 0
     left_out: int = 0
 
 
@@ -59,11 +59,11 @@ class _Copy:
     named: Mapping[str, str | None]
     by_log_time: bool
     lag: int  # ns, by which the stamps of the magnetometer are too late
+    count: CopyCounts
     schemas: dict[int, int] = field(default_factory=dict)
     kinds: dict[int, str] = field(default_factory=dict)
     channels: dict[int, int] = field(default_factory=dict)
     sensors: dict[int, tuple[str, int]] = field(default_factory=dict)  # {channel: (sensor, offset of its vector)}
-    count: CopyCounts = field(default_factory=CopyCounts)
     calibrated_topics: set[str] = field(default_factory=set)  # keys of the metadata
 
     def take(self, record: object) -> None:
@@ -112,17 +112,19 @@ class _Copy:
         else:
             name, place = sensor
             stamp, numbers = _stamp_and_numbers(data)
-            vector = self.replaced[name].get(message.log_time if self.by_log_time else stamp)
+            at = message.log_time if self.by_log_time else stamp
+            vector = self.replaced[name].get(at)
             late = self.lag if name == "magnetic_field" else 0
-            if vector is None or stamp < late:
+            if vector is None or at < late:
                 self.count.left_out += 1
                 return
             first = numbers + place
             data = data[:first] + vector + data[first + _VECTOR.size :]
-            self.count.calibrated += 1
-            if late:
+            self.count.calibrated[name] += 1
+            if late and stamp >= late:  # a header that was never filled in stays as it is
                 data = data[:4] + _STAMP.pack(*divmod(stamp - late, NANOSECONDS)) + data[4 + _STAMP.size :]
-                message = replace(message, log_time=message.log_time - late * self.by_log_time)
+            if self.by_log_time:
+                message = replace(message, log_time=at - late)
         self.writer.add_message(
             self.channels[message.channel_id], message.log_time, data, message.publish_time, message.sequence
         )
@@ -154,14 +156,15 @@ def copy_mcap(
         Vector3Stamped or Imu of ROS 2, in which the vector can be replaced.
 
     Raises:
-        MagycError: the file is damaged.
+        MagycError: the file is damaged, or no message of a sensor can be written with a calibrated vector.
     """
     replaced = {"magnetic_field": _vectors(*calibrated.magnetometer, epoch)}
     if calibrated.angular_rate is not None:
         replaced["angular_rate"] = _vectors(*calibrated.gyroscope, epoch)
     size = max(source.stat().st_size, 1)
     with open(source, "rb") as read, open(target, "wb") as written:
-        copy = _Copy(Writer(written), replaced, named, by_log_time, round(lag * NANOSECONDS))
+        count = CopyCounts(dict.fromkeys(replaced, 0))
+        copy = _Copy(Writer(written), replaced, named, by_log_time, round(lag * NANOSECONDS), count)
         try:
             for k, record in enumerate(_records(read)):
                 if isinstance(record, Header):
@@ -180,7 +183,14 @@ def copy_mcap(
     if {sensor for sensor, _ in copy.sensors.values()} != set(replaced):
         target.unlink()
         return None
-    return copy.count
+    for sensor, number in count.calibrated.items():
+        if not number:
+            raise MagycError(
+                f"{source}: no message of the {sensor} can be written: their stamps are not those of the samples that "
+                f"were read, or are less than the delay of {lag:.3f} s that is taken from them; write a table (a name "
+                "that ends in .csv)"
+            )
+    return count
 
 
 def _records(file: IO[bytes]) -> Iterator[McapRecord]:
