@@ -131,8 +131,8 @@ def test_a_damaged_log_is_refused(log: Path, tmp_path: Path, capsys: pytest.Capt
     assert not (tmp_path / "out.mcap").exists()
 
 
-def rewritten(source: Path, target: Path, change: Callable[[bytes], bytes]) -> Path:
-    """A copy of a log with other data in the magnetometer's messages."""
+def rewritten(source: Path, target: Path, change: Callable[[str, bytes], bytes]) -> Path:
+    """A copy of a log with the data that `change` returns for a topic and the data of its message."""
     with open(source, "rb") as read, open(target, "wb") as file:
         writer = Writer(file)
         writer.start("ros2")
@@ -141,7 +141,7 @@ def rewritten(source: Path, target: Path, change: Callable[[bytes], bytes]) -> P
             if channel.topic not in ids:
                 own = 0 if schema is None else writer.register_schema(schema.name, schema.encoding, schema.data)
                 ids[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, own)
-            data = change(message.data) if channel.topic == "/imu/mag" else message.data
+            data = change(channel.topic, message.data)
             writer.add_message(ids[channel.topic], message.log_time, data, message.publish_time)
         writer.finish()
     return target
@@ -149,7 +149,11 @@ def rewritten(source: Path, target: Path, change: Callable[[bytes], bytes]) -> P
 
 def test_a_delay_where_the_header_is_empty(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It is taken from the stamps in use, those of the recorder; every message was lost without a word."""
-    blank = rewritten(log, tmp_path / "blank.mcap", lambda data: data[:4] + bytes(8) + data[12:])
+
+    def without_stamp(topic: str, data: bytes) -> bytes:
+        return data[:4] + bytes(8) + data[12:] if topic == "/imu/mag" else data
+
+    blank = rewritten(log, tmp_path / "blank.mcap", without_stamp)
     late = replace(CALIBRATION, terms=(Term("timing", [0.25], [[1e-6]]),))
     late.save(tmp_path / "cal.yaml")
     out = tmp_path / "out.mcap"
@@ -168,3 +172,31 @@ def test_a_log_without_a_message_that_can_be_written(tmp_path: Path, capsys: pyt
     assert cli.main(apply) == 2
     assert "less than the delay of 8.000 s" in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()
+
+
+def test_messages_that_repeat_the_vector_of_the_one_before(tmp_path: Path) -> None:
+    """Of a held gyroscope, and of a magnetometer in coarse steps: they were left out, and the acceleration in them."""
+    places = {"/imu/mag": slice(-96, -72), "/imu/data_raw": slice(-192, -168)}
+    seen: dict[str, list[bytes]] = {topic: [] for topic in places}
+
+    def held(topic: str, data: bytes) -> bytes:
+        place, earlier = places[topic], seen[topic]
+        earlier.append(earlier[-1] if len(earlier) % 2 else data[place])
+        return data[: place.start] + earlier[-1] + data[place.stop :]
+
+    write_mcap(tmp_path / "plain.mcap", replace(mg.simulate("wide", 30, seed=1).recording, attitude=None))
+    log = rewritten(tmp_path / "plain.mcap", tmp_path / "log.mcap", held)
+    CALIBRATION.save(tmp_path / "cal.yaml")
+    for name in ("out.mcap", "out.csv"):
+        cli.main(["apply", str(tmp_path / "cal.yaml"), str(log), "-q", "-o", str(tmp_path / name)])
+    before, after = ([m for m in contents(path)[0] if m[0] in places] for path in (log, tmp_path / "out.mcap"))
+    assert [m[:-1] for m in before] == [m[:-1] for m in after]
+    for topic, apply in (("/imu/mag", CALIBRATION.apply), ("/imu/data_raw", CALIBRATION.apply_gyroscope)):
+        raw, calibrated = (
+            np.array([np.frombuffer(m[7][places[topic]]) for m in each if m[0] == topic])  # type: ignore[index]
+            for each in (before, after)
+        )
+        np.testing.assert_array_equal(apply(raw), calibrated)
+    table = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)
+    columns = {name: np.isfinite(table[name]).mean() for name in table.dtype.names}
+    assert {name: share for name, share in columns.items() if share < 1 and "angular_rate" not in name} == {}

@@ -41,8 +41,9 @@ def run(
     """Apply a calibration to a log.
 
     Time stamps and all other data are unchanged. From MCAP to MCAP every message of every other topic is copied byte
-    for byte, and in the sensors' own messages only the vector is replaced (ROS 2, without --gyroscope-axes). The
-    gyroscope bias is subtracted if the method estimated one, and the effects found by `magyc-gtsam gap` are
+    for byte, and in the sensors' own messages only the vector is replaced (ROS 2, without --gyroscope-axes). Those that
+    are faulty, or outside the interval that magnetometer and gyroscope both cover, are left out, as are such rows of a
+    table. The gyroscope bias is subtracted if the method estimated one, and the effects found by `magyc-gtsam gap` are
     corrected; a delay of the magnetometer in the stamps of its samples, which are then earlier. Use the same reading
     options (units, axes) as for the calibration; an effect of a current or a temperature needs that channel in the log.
     An effect that is dated in the log in which it was found (a jump, a drift, a passed object, a tone) is corrected in
@@ -55,6 +56,7 @@ def run(
     from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.recording.applied import as_calibrated, is_calibrated
+    from magyc_gtsam.recording.held import with_equal_samples
     from magyc_gtsam.recording.time_zero import time_zero_of
     from magyc_gtsam.report.verdict import judged
 
@@ -75,7 +77,7 @@ def run(
         calibration, notes = on_recording(calibration, recording)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            result = as_calibrated(calibrated(calibration, recording))
+            result = as_calibrated(with_equal_samples(calibrated(calibration, recording)))
         lag = lag_of(calibration)
         writing = stage("writing")
         if output.suffix.lower() == ".mcap":
@@ -122,16 +124,19 @@ def _write_mcap(
             progress,
         )
         if count is not None:
-            left_out = f", {count.left_out} without a sample left out" if count.left_out else ""
-            remark = f"; {count.unchanged} messages of other topics copied unchanged{left_out}"
+            remark = f"; {count.unchanged} messages of other topics copied unchanged"
+            if count.left_out:
+                remark += (
+                    f"; {count.left_out} of the sensors left out: faulty, or outside the time that both cover"
+                )
             return count.calibrated["magnetic_field"], remark
     result = without_lag(calibrated, lag)
     write_mcap(path, result, epoch=time_zero_of(calibrated))
-    return int(result.magnetic_field_stamped.sum()), "; other topics are not in it" if is_mcap else ""
+    return int(result.magnetic_field_fresh.sum()), "; other topics are not in it" if is_mcap else ""
 
 
 def _write_csv(path: Path, recording: Recording, origin: int) -> int:
-    """Write a table with units in the header; cells without a true sample of their sensor are empty.
+    """Write a table with units in the header; field and rate are empty where their sensor has no sample.
 
     Returns:
         The number of samples of the field.
@@ -146,7 +151,7 @@ def _write_csv(path: Path, recording: Recording, origin: int) -> int:
     for name, unit, value, rows in (
         ("calibrated_magnetic_field", "T", recording.magnetic_field, recording.magnetic_field_fresh),
         ("angular_rate", "rad/s", recording.angular_rate, recording.angular_rate_fresh),
-        ("acceleration", "m/s^2", recording.acceleration, recording.angular_rate_fresh),
+        ("acceleration", "m/s^2", recording.acceleration, every),
     ):
         if value is not None:
             columns.append(([f"{name}_{axis}_{unit}" for axis in "xyz"], value, rows))

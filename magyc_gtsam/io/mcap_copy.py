@@ -42,7 +42,7 @@ class CopyCounts:
     Attributes:
         unchanged: copied byte for byte.
         calibrated: of each sensor, copied with its vector replaced.
-        left_out: messages of the sensors without a sample in the recording (outside the interval, or faulty).
+        left_out: messages of the sensors without a sample in the recording: outside its time, or faulty.
     """
 
     calibrated: dict[str, int]
@@ -56,6 +56,7 @@ class _Copy:
 
     writer: Writer
     replaced: Mapping[str, Mapping[int, bytes]]  # by sensor, the vector at each stamp
+    end: int  # ns, of the recording's last row
     named: Mapping[str, str | None]
     by_log_time: bool
     lag: int  # ns, by which the stamps of the magnetometer are too late
@@ -64,6 +65,7 @@ class _Copy:
     kinds: dict[int, str] = field(default_factory=dict)
     channels: dict[int, int] = field(default_factory=dict)
     sensors: dict[int, tuple[str, int]] = field(default_factory=dict)  # {channel: (sensor, offset of its vector)}
+    latest: dict[int, tuple[bytes, bytes]] = field(default_factory=dict)  # {channel: (own vector, calibrated)}
     calibrated_topics: set[str] = field(default_factory=set)  # keys of the metadata
 
     def take(self, record: object) -> None:
@@ -112,14 +114,15 @@ class _Copy:
         else:
             name, place = sensor
             stamp, numbers = _stamp_and_numbers(data)
+            first = numbers + place
+            end = first + _VECTOR.size
             at = message.log_time if self.by_log_time else stamp
-            vector = self.replaced[name].get(at)
+            vector = self._calibrated(message.channel_id, name, at, data[first:end])
             late = self.lag if name == "magnetic_field" else 0
             if vector is None or at < late:
                 self.count.left_out += 1
                 return
-            first = numbers + place
-            data = data[:first] + vector + data[first + _VECTOR.size :]
+            data = data[:first] + vector + data[end:]
             self.count.calibrated[name] += 1
             if late and stamp >= late:  # a header that was never filled in stays as it is
                 data = data[:4] + _STAMP.pack(*divmod(stamp - late, NANOSECONDS)) + data[4 + _STAMP.size :]
@@ -128,6 +131,18 @@ class _Copy:
         self.writer.add_message(
             self.channels[message.channel_id], message.log_time, data, message.publish_time, message.sequence
         )
+
+    def _calibrated(self, channel: int, sensor: str, at: int, own: bytes) -> bytes | None:
+        """Return the calibrated vector of a message with the stamp `at` (ns) in place of its `own`.
+
+        A repeat that a held gyroscope writes is no sample of the recording and takes the vector of the message before.
+        None for other messages without a sample.
+        """
+        before, held = self.latest.get(channel, (b"", None))
+        vector = self.replaced[sensor].get(at, held if own == before and at <= self.end else None)
+        if vector is not None:
+            self.latest[channel] = own, vector
+        return vector
 
 
 def copy_mcap(
@@ -161,10 +176,12 @@ def copy_mcap(
     replaced = {"magnetic_field": _vectors(*calibrated.magnetometer, epoch)}
     if calibrated.angular_rate is not None:
         replaced["angular_rate"] = _vectors(*calibrated.gyroscope, epoch)
+    end = round(calibrated.time[-1] * NANOSECONDS) + epoch
     size = max(source.stat().st_size, 1)
     with open(source, "rb") as read, open(target, "wb") as written:
         count = CopyCounts(dict.fromkeys(replaced, 0))
-        copy = _Copy(Writer(written), replaced, named, by_log_time, round(lag * NANOSECONDS), count)
+        delay = round(lag * NANOSECONDS)
+        copy = _Copy(Writer(written), replaced, end, named, by_log_time, delay, count)
         try:
             for k, record in enumerate(_records(read)):
                 if isinstance(record, Header):
