@@ -407,6 +407,22 @@ def test_what_an_imu_does_not_hold_is_not_listed(tmp_path: Path) -> None:
     assert imu.serves_as == ("angular_rate", "acceleration")
 
 
+def test_a_topic_that_begins_before_the_sensors(log: Path, tmp_path: Path) -> None:
+    """`info` counts from the recording's first row as `start` and `end` do; on another clock, from the first stamp."""
+
+    def early(topic: str, index: int, data: bytes, at: int) -> list[tuple[str, int, bytes]]:
+        return [("/motors", at - 60 * 10**9, data)] * (topic == "/motors") + [(topic, at, data)]
+
+    def of_boot(topic: str, index: int, data: bytes, at: int) -> list[tuple[str, int, bytes]]:
+        return [(topic, at, restamp(data, at - EPOCH) if "imu" in topic else data)]
+
+    path = alter(log, tmp_path / "a.mcap", early)
+    for file, begin in ((path, 0.0), (alter(path, tmp_path / "b.mcap", of_boot), 60.0)):
+        spans = {source.name: source.span for source in info(file).sources}
+        assert spans["/imu/mag"] == pytest.approx((begin, begin + np.ptp(small().time)), abs=0.05)
+        assert spans["/motors"] == pytest.approx((begin - 60, begin + np.ptp(small().time)), abs=0.05)
+
+
 def test_header_never_filled_in(log: Path, tmp_path: Path) -> None:
     blank = alter(log, tmp_path / "a.mcap", lambda t, i, d, at: [(t, at, restamp(d, 0) if "imu" in t else d)])
     with pytest.raises(MagycError, match=r"was the header never filled in.*stamps='log'"):

@@ -50,7 +50,7 @@ def _show(described: LogInfo) -> None:
     for source in described.sources:
         if not source.serves_as:
             continue
-        span = "" if source.span is None else f"{source.span[0]:.1f}–{source.span[1]:.1f}"
+        span = " to ".join(f"{round(t, 1) + 0.0:.1f}" for t in source.span or ())  # never -0.0
         rate = "" if source.rate is None else f"{source.rate:.1f}"
         rows.append((source.name, str(source.count), rate, span, ", ".join(source.serves_as)))
     if rows:

@@ -18,6 +18,7 @@ from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.axes import in_magnetometer_axes, parse_axes
 from magyc_gtsam.recording.stamps import holes
+from magyc_gtsam.recording.time_zero import time_zero_of
 from magyc_gtsam.storage.files import expect_path
 
 if TYPE_CHECKING:
@@ -145,6 +146,7 @@ def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[Log
         recording = read(path, **arguments)
     except MagycError as error:
         return replace(described, problem=str(error)), None
+    described = described.since(time_zero_of(recording))
     notes = tuple(n for n in recording.notes if n not in described.warnings)
     path_length = None if recording.angular_rate is None else turned(*recording.gyroscope)
     # Messages of an IMU have a place for each of these, and say in themselves whether they hold one.

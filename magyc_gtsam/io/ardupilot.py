@@ -101,7 +101,7 @@ def info(path: Path) -> LogInfo:
         )
         for k, s in log.samples.items()
     )
-    return LogInfo(str(path), "ArduPilot dataflash", (last - first) / 1e9, sources, log.notes)
+    return LogInfo(str(path), "ArduPilot dataflash", (last - first) / 1e9, sources, log.notes, first=first)
 
 
 def _choose(log: ArduPilotLog, sensor: str, request: Request, notes: list[str]) -> tuple[str, int] | None:

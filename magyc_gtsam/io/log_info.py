@@ -23,7 +23,7 @@ class Source:
         name: the name that `read` accepts.
         type: message type, or the unit of columns.
         count: number of samples.
-        span: first and last stamp, s since the log's first stamp; None if unknown.
+        span: first and last stamp, s since time 0 of the recording, or the log's first stamp; None if unknown.
         serves_as: possible uses in `read` ("magnetic_field", "angular_rate", "acceleration", "attitude", "channel").
         paused: s of `span` in which the log has no samples of magnetometer and gyroscope.
     """
@@ -63,6 +63,7 @@ class LogInfo:
         warnings: remarks on conversions, omissions and damage.
         problem: why `read` cannot make a recording; None if it can.
         turned: rad, total rotation of the instrument; None without a gyroscope or if there is a problem.
+        first: ns, the stamp from which the spans of `sources` count; None if unknown.
     """
 
     path: str
@@ -72,6 +73,16 @@ class LogInfo:
     warnings: tuple[str, ...] = ()
     problem: str | None = None
     turned: float | None = None
+    first: int | None = None
+
+    def since(self, zero: int) -> LogInfo:
+        """Return the description with its spans counted from a stamp (ns); as it is if that is of another clock."""
+        if self.first is None or not 0 <= zero - self.first <= self.duration * 1e9:
+            return self
+        elapsed = (zero - self.first) / 1e9
+        spans = (each.span and (each.span[0] - elapsed, each.span[1] - elapsed) for each in self.sources)
+        sources = tuple(replace(each, span=span) for each, span in zip(self.sources, spans, strict=True))
+        return replace(self, first=zero, sources=sources)
 
     @property
     def readable(self) -> bool:

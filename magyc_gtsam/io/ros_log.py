@@ -81,7 +81,7 @@ def info_of(load: Load, path: Path, kind: str) -> LogInfo:
             )
         )
     ros = "ROS 1" if any(t.encoding == "ros1" for t in log.topics.values()) else "ROS 2"
-    return LogInfo(str(path), f"{kind} ({ros})", (last - zero) / 1e9, tuple(sources), log.notes)
+    return LogInfo(str(path), f"{kind} ({ros})", (last - zero) / 1e9, tuple(sources), log.notes, first=zero)
 
 
 def collected(

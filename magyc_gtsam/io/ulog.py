@@ -99,7 +99,7 @@ def info(path: Path) -> LogInfo:
         times = m.data["timestamp"]
         span = ((int(times[0]) - first) / 1e6, (int(times[-1]) - first) / 1e6) if m.count else None
         sources.append(Source(m.label, m.name, m.count, span, tuple(serves)))
-    return LogInfo(str(path), "PX4 ULog", (last - first) / 1e6, tuple(sources), damage)
+    return LogInfo(str(path), "PX4 ULog", (last - first) / 1e6, tuple(sources), damage, first=first * 1000)
 
 
 def _find(
