@@ -544,6 +544,32 @@ def test_ros1_and_big_endian(tmp_path: Path) -> None:
         assert np.ptp(back.time) == pytest.approx(np.ptp(recording.time), abs=1e-9)
 
 
+def test_two_encodings_on_one_topic(log: Path, tmp_path: Path) -> None:
+    """Messages of ROS 1 were decoded as those of ROS 2."""
+    mixed = tmp_path / "a.mcap"
+    with open(log, "rb") as source, open(mixed, "wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        topics: dict[str, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            assert schema is not None
+            if channel.topic not in topics:
+                own = writer.register_schema(schema.name, schema.encoding, schema.data)
+                topics[channel.topic] = writer.register_channel(channel.topic, "cdr", own)
+            writer.add_message(topics[channel.topic], message.log_time, message.data, message.publish_time)
+        ros1 = writer.register_channel(
+            "/imu/mag", "ros1", writer.register_schema(MAG.replace("/", "/msg/"), "ros1msg", b"")
+        )
+        for k in range(3):
+            at = EPOCH + 10**9 + k
+            data = struct.pack("<IIII", 7, *divmod(at, 10**9), 3) + b"imu" + bytes(96)
+            writer.add_message(ros1, at, data, at)
+        writer.finish()
+    back = read(mixed)
+    assert_same(read(log), back)
+    assert any("/imu/mag has messages of two types or encodings; those of" in note for note in back.notes)
+
+
 def test_message_shorter_than_its_type(log: Path, tmp_path: Path) -> None:
     short = alter(
         log, tmp_path / "a.mcap", lambda t, i, d, at: [(t, at, d[:50] if t == "/imu/mag" and i == 4 else d)]

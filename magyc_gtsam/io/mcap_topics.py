@@ -101,10 +101,11 @@ class Topics(dict[str, Topic]):
         schema = self._schemas.get(channel.schema_id, NO_SCHEMA)
         topic = self._topic(channel)
         # Two publishers of one topic have two channels in the file.
-        if topic.schema.name == schema.name:
+        if (topic.schema.name, topic.encoding) == (schema.name, channel.message_encoding):
             topic.add(block.data, block.start, block.length, block.log_time)
         else:
-            note = f"{channel.topic} has two types; messages of {schema.name} were left out"
+            other = f"type {schema.name}, encoding {channel.message_encoding}"
+            note = f"{channel.topic} has messages of two types or encodings; those of {other} were left out"
             if note not in self._notes:
                 self._notes.append(note)
 
