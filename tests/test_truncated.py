@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.truncated import steps_from_zero
+from magyc_gtsam.estimators.smoother.truncated import middles, steps_from_zero
 from magyc_gtsam.simulation.sensor import Simulation
 
 
@@ -35,6 +35,8 @@ def test_zero_is_counted_too_often(spread: float) -> None:
 def test_an_axis_that_never_reads_zero_is_truncated_as_the_others_are() -> None:
     reading = 20 * np.random.default_rng(2).standard_normal((20_000, 3)) + [0, 0, 300]
     np.testing.assert_allclose(steps_from_zero(np.trunc(reading), 1.0), 1.0)
+    nearly = np.array([[2.0, -1.0, 1e-19], [0.0, -1e-19, 5.0]])  # turned by a matrix that is not quite exact
+    np.testing.assert_allclose(middles(nearly, np.array([1.0, 1.0, 0.0])), [[2.5, -1.5, 0], [0, 0, 5]], atol=1e-18)
     reading[:, 0] += 300
     reading[:, 1] -= 300
     assert not steps_from_zero(np.trunc(reading), 1.0).any()  # a constant offset of half a step

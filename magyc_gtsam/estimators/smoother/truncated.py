@@ -16,6 +16,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
 _READINGS = {"gyroscope": "angular_rate", "magnetometer": "magnetic_field"}  # of a recording
@@ -73,7 +74,10 @@ def without_truncation(
             continue
         changed: dict[str, Any] = {_READINGS[sensor]: middles(reading, step)}
         middle = replace(recording, **changed)
-        again = fit_again(middle)
+        try:
+            again = fit_again(middle)
+        except MagycError:  # without a minimum it is no explanation
+            continue
         if nats_gained(fit, again) > _CHANCE:
             recording, fit = middle, again
             found.append(Truncated(sensor, float(step.max())))
@@ -135,7 +139,9 @@ def _step(values: Array) -> float:
 
 def middles(reading: Array, step: Array) -> Array:
     """Return truncated readings (n, 3), each in the middle of what it stands for; zero stands for both sides of it."""
-    result: Array = reading + 0.5 * step * np.sign(reading)
+    result = reading.copy()
+    has_steps = step > 0
+    result[:, has_steps] += 0.5 * step[has_steps] * np.sign(np.round(reading[:, has_steps] / step[has_steps]))
     return result
 
 
