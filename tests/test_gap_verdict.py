@@ -21,6 +21,7 @@ from magyc_gtsam.gap.outcome.unsure import doubt_whether, in_brief
 from magyc_gtsam.gap.outcome.verdict import manoeuvre
 from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Manoeuvre, Status
 from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
+from magyc_gtsam.simulation.sensor import Simulation
 
 CALIBRATION = Calibration(np.eye(3), np.zeros(3), np.zeros(3), np.eye(12) * 1e-14, field_strength=50e-6)
 
@@ -131,3 +132,28 @@ def test_the_next_manoeuvre_is_one_that_helps() -> None:
     assert seen.separates == ("cubic", "timing")
     assert seen.motion == TERMS["cubic"].motion
     assert manoeuvre(unsure[:1], twin, (), [], ()) is None
+
+
+def _put_down(simulation: Simulation, field: np.ndarray, change: np.ndarray) -> mg.Recording:
+    """The recording with another field (n, 3), then eight seconds of rest in one that differs by `change`, T."""
+    random, recording = np.random.default_rng(0), simulation.recording
+    time = np.append(recording.time, recording.time[-1] + 0.1 * np.arange(1, 81))
+    rest = field[-1] + change + 1e-6 * random.standard_normal((80, 3))
+    rate = simulation.truth.gyro_bias + 5e-3 * random.standard_normal((80, 3))
+    return mg.Recording(time, np.concatenate([field, rest]), np.concatenate([recording.angular_rate, rate]))
+
+
+def test_a_jump_after_which_the_vehicle_rests_may_be_of_the_place() -> None:
+    """As where a recording is not stopped before the vehicle is put on a table; what is taken off again is no doubt."""
+    simulation = mg.simulate("wide", 120, seed=4)
+    change, field = np.array([4e-6, -3e-6, 5e-6]), simulation.recording.magnetic_field
+    gap = mg.find_gap(_put_down(simulation, field, change), candidates=["hard-iron-step"])
+    assert [effect.name for effect in gap.effects] == ["hard-iron-step"]
+    assert not gap.calibration.trusted
+    assert "or the field of the place changed" in gap.calibration.message
+    assert gap.doubt is not None
+    assert gap.doubt.action == "turn a full circle after it, or choose an interval without it (start=, end=)"
+    carried = field + change * (simulation.recording.time > 40)[:, None]
+    taken_off = mg.find_gap(_put_down(simulation, carried, -change), candidates=["hard-iron-step"])
+    assert [effect.name for effect in taken_off.effects] == ["hard-iron-step", "hard-iron-step"]
+    assert taken_off.calibration.trusted, taken_off.calibration.message

@@ -8,6 +8,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.iron import references, step_nearby, step_times
 from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, measured
+from magyc_gtsam.gap.effects.turns import turned
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -69,11 +70,7 @@ def _stays_between(twin: Twin, time: float) -> list[dict[str, float]]:
 def _turning(twin: Twin, stays: list[dict[str, float]]) -> list[dict[str, float]]:
     """Return those stays in which the vehicle turns: without, its hard iron has changed as well as the place."""
     ends = np.array([[stay.get("time", -np.inf), stay.get("until", np.inf)] for stay in stays]).reshape(-1, 2)
-    first, last = np.searchsorted(twin.time, ends, side="right").T
-    total = np.pad(np.cumsum(twin.windows.need("to_sensor"), axis=2), ((0, 0), (0, 0), (1, 0)))
-    mean = (total[..., last] - total[..., first]) / np.maximum(last - first, 1)
-    spread = np.sqrt(np.maximum(1 - (mean**2).sum(axis=0), 0.0)).max(axis=0)  # of the world's axes in the sensor
-    return [stay for stay, turned in zip(stays, spread, strict=True) if turned > RULES.stay_turns]
+    return [stay for stay, angle in zip(stays, turned(twin, *ends.T), strict=True) if angle > RULES.stay_turns]
 
 
 def _nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:

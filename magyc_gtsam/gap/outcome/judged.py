@@ -22,6 +22,7 @@ from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.gap.model.descent import prior_of
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.outcome.last_jump import doubt_of_last_jump
 from magyc_gtsam.gap.result import Doubt
 from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.recording import Recording
@@ -52,7 +53,8 @@ def judged(
     unit = IronScale.of(unvech(model.parameters[:6]), strength).strength
     judgement = judge(known, error, recording, recording, strength, named=_misalignment_error(result, error, unit))
     observability = judgement.observability
-    reasons, doubt = list(judgement.reasons), None
+    jump = doubt_of_last_jump(result)
+    reasons, doubt = [*judgement.reasons, *([jump] if jump else [])], None
     if reasons:
         doubt = Doubt(*cause_and_action(clauses(reasons[0])[0]))
     if not observability.observable:
