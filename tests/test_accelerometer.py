@@ -131,6 +131,10 @@ def test_a_calibration_is_saved_and_loaded_bit_for_bit(tmp_path):
     loaded = AccelerometerCalibration.load(tmp_path / "accelerometer.yaml")
     assert loaded.to_dict() == calibration.to_dict()
     np.testing.assert_array_equal(loaded.covariance, calibration.covariance)
+    text = (tmp_path / "accelerometer.yaml").read_text(encoding="utf-8")
+    (tmp_path / "cut.yaml").write_text(text[: text.index("converged:")], encoding="utf-8")
+    with pytest.raises(MagycError, match="calibration without converged, .* is it cut off"):
+        AccelerometerCalibration.load(tmp_path / "cut.yaml")
     (tmp_path / "other.yaml").write_text("format: magyc-gtsam calibration 1\n")
     with pytest.raises(MagycError, match="not the calibration of an accelerometer"):
         AccelerometerCalibration.load(tmp_path / "other.yaml")

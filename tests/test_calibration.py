@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from magyc_gtsam import Calibration, MagycError
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.observability import Observability, Weakness
 
 SOFT_IRON = np.array([[1.1, 0.1, 0.04], [0.1, 0.9, 0.02], [0.04, 0.02, 1.2]])
@@ -167,7 +168,8 @@ def test_the_yaml_is_for_people_too(tmp_path):
     assert "message: µT" in text
 
 
-GOOD = yaml.safe_dump(Calibration(SOFT_IRON, HARD_IRON).to_dict())
+SAVED = Calibration(SOFT_IRON, HARD_IRON).to_dict()
+GOOD = yaml.safe_dump(SAVED)
 BAD_FILES = {
     "broken YAML": ("cal.yaml", "soft_iron: [1, 2", "not readable as .yaml"),
     "broken JSON": ("cal.json", "{", "not readable as .json"),
@@ -177,8 +179,8 @@ BAD_FILES = {
     "something else": ("cal.yaml", "camera: {fx: 500}", "not a calibration: format is None"),
     "another version": ("cal.yaml", GOOD.replace("calibration 1", "calibration 9"), "calibration 9"),
     "no hard iron": ("cal.yaml", GOOD.replace("hard_iron", "hard_irony"), "calibration without hard_iron"),
-    "wrong shape": ("cal.yaml", "format: magyc-gtsam calibration 1\nsoft_iron: [1]\nhard_iron: [1]", "soft_iron"),
-    "words": ("cal.yaml", "format: magyc-gtsam calibration 1\nsoft_iron: a\nhard_iron: [1, 2, 3]", "soft_iron"),
+    "wrong shape": ("cal.yaml", yaml.safe_dump(SAVED | {"soft_iron": [1]}), "soft_iron must be (3, 3)"),
+    "words": ("cal.yaml", yaml.safe_dump(SAVED | {"soft_iron": "a"}), "soft_iron must be numbers"),
     "observability": ("cal.yaml", GOOD.replace("observability: null", "observability: {}"), "damaged calibration"),
     "diagnostics": ("cal.yaml", GOOD.replace("diagnostics: {}", "diagnostics: 3"), "diagnostics"),
 }  # fmt: skip
@@ -193,6 +195,27 @@ def test_load_refuses_with_the_files_name(tmp_path, case):
         Calibration.load(path)
     assert str(caught.value).startswith(str(path))
     assert words in str(caught.value)
+
+
+def test_a_file_that_was_cut_off_anywhere_is_refused(tmp_path):
+    """The defaults of what is missing would make it trusted, and leave out terms and options."""
+    path = tmp_path / "cal.yaml"
+    term = Term("motor-current", [1e-6, 0.0, 0.0], np.eye(3) * 1e-16)
+    options = {"compass": 2, "noise": [1e-6, 5e-3]}
+    weak = Observability(False, (Weakness("hard iron", 3.0, 1.0, "µT", "turn"),))
+    Calibration(
+        SOFT_IRON, HARD_IRON, terms=(term,), converged=False, observability=weak, configuration=options
+    ).save(path)
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines(keepends=True)
+    within_the_last = [text[:-count] for count in range(2, len(lines[-1]) + 1)]
+    for part in (*("".join(lines[:count]) for count in range(1, len(lines))), *within_the_last):
+        path.write_text(part, encoding="utf-8")
+        with pytest.raises(MagycError, match=r"cal\.yaml: "):
+            Calibration.load(path)
+    path.write_text(text[: text.index("terms:")], encoding="utf-8")
+    with pytest.raises(MagycError, match="without terms, .*, converged: is it cut off"):
+        Calibration.load(path)
 
 
 def test_load_of_a_missing_file(tmp_path):

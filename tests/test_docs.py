@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import magyc_gtsam as mg
@@ -77,7 +78,12 @@ def test_the_schema_holds_for_what_is_saved(tmp_path: Path) -> None:
         jsonschema.validate(json.loads((tmp_path / "cal.json").read_text(encoding="utf-8")), schema)
     keys = json.loads((tmp_path / "cal.json").read_text(encoding="utf-8")).keys()
     assert keys <= schema["properties"].keys()
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(
-            {"format": "magyc-gtsam calibration 1", "soft_iron": [[1]], "hard_iron": [0, 0, 0]}, schema
-        )
+    saved = mg.Calibration(np.eye(3), np.zeros(3)).to_dict()
+    jsonschema.validate(saved, schema)
+    wrong = [saved | {"soft_iron": [[1]]}]
+    wrong += [{k: v for k, v in saved.items() if k != name} for name in schema["required"]]
+    for values in wrong:
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(values, schema)
+        with pytest.raises(mg.MagycError):
+            mg.Calibration.from_dict(values)

@@ -169,9 +169,9 @@ def run_description(reading: Reading, recording: Recording, arguments: Sequence[
 
 def write_yaml(path: Path, values: dict[str, Any]) -> None:
     """Write values of JSON types as YAML, in their order."""
-    import yaml
+    from magyc_gtsam.storage.mapping import dump_yaml
 
-    path.write_text(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110), encoding="utf-8")
+    path.write_text(dump_yaml(values), encoding="utf-8")
 
 
 def calibrate_log(

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.calibration.serialization import expect_whole
 from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.autocal.autocal import OUTLIER, covariance
 from magyc_gtsam.estimators.autocal.fit import AutocalFit, autocal
@@ -113,12 +114,13 @@ class AccelerometerCalibration:
         """Read a file written by `save`.
 
         Raises:
-            MagycError: the file does not exist, or is not the calibration of an accelerometer.
+            MagycError: the file does not exist, is cut off, or is not the calibration of an accelerometer.
         """
         data = load_mapping(expect_path("AccelerometerCalibration.load", path), "calibration of an accelerometer")
         if data.pop("format", None) != _FORMAT:
             raise MagycError(f"{path}: not the calibration of an accelerometer")
         try:
+            expect_whole(data, [f.name for f in fields(cls)])
             return cls(**data)
         except MagycError as error:
             raise MagycError(f"{path}: {error}") from None

@@ -203,9 +203,9 @@ class SmootherOptions:
         if heading is not None:
             result["heading"] = [heading.channel, heading.sigma]
         if self.prior is not None:
-            left_out = ("diagnostics", "observability", "configuration")
-            result["prior"] = {k: v for k, v in self.prior.to_dict().items() if k not in left_out}
-            result["prior"]["diagnostics"] = {"recordings": list(self.prior.fitted_to)}
+            before = {name: value for name, value in self.prior.configuration.items() if name != "prior"}
+            shorter = {"diagnostics": {"recordings": list(self.prior.fitted_to)}, "configuration": before}
+            result["prior"] = self.prior.to_dict() | shorter
         return result
 
 
