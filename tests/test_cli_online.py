@@ -494,8 +494,13 @@ def test_axes_of_the_gyroscope(
     assert at.angular_rate is not None
     turned = at.angular_rate[:, [1, 0, 2]] * [-1, 1, 1]  # its y lies along x, its −x along y
     write_mcap(tmp_path / "turned.mcap", mg.Recording(at.time, at.magnetic_field, turned), epoch=EPOCH)
-    inside("turned.mcap", *IFG, "--gyroscope-axes", "y,-x,z", "--quiet")
+    inside("turned.mcap", *IFG, "--gyroscope-axes", "y, -x, z", "--state", "kept.state", "--quiet")
     same(tmp_path / "online-calibration.yaml", expected)
+    written = mg.Calibration.load(tmp_path / "online-calibration.yaml")
+    assert written.configuration["gyroscope_axes"] == "y,-x,z"
+    code, errors = inside("turned.mcap", "--state", "kept.state", "--gyroscope-axes", "x,y,z")
+    assert code == 2
+    assert "continues a run with --method magyc-ifg --option" in errors
 
 
 def test_an_estimate_that_still_changes_is_not_written_as_trusted() -> None:

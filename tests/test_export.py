@@ -18,6 +18,7 @@ from magyc_gtsam.export import TARGETS, export
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
+from magyc_gtsam.recording.axes import axes_text, parse_axes
 from magyc_gtsam.study.known import skewed
 
 PRECISION = 1e-8  # printed decimals, in gauss for a field of one gauss
@@ -262,6 +263,18 @@ def test_a_gyroscope_that_warms_up_is_exported_where_the_target_has_it() -> None
     np.testing.assert_allclose(by_px4, expected, atol=1e-6)
     for target in ("ardupilot", "vectornav", "ros"):
         assert "LIMIT: not included: temperature-gyro" in calibration.export(target)
+    # Read as z, x, y, and found to be y, -x, z of these: the values are those of the sensor itself.
+    order = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    exchanged = Term("axis-order", order.ravel(), np.zeros((9, 9)))
+    for more, own in (((), parse_axes("z,x,y")), ((exchanged,), order @ parse_axes("z,x,y"))):
+        turned = replace(calibration, terms=(warming, *more), configuration={"gyroscope_axes": "z,x,y"})
+        text = turned.export("px4")
+        _, by_px4 = px4(text, FIELD, RATE @ own, None, TEMPERATURE)
+        np.testing.assert_allclose(by_px4 @ own.T, expected, atol=1e-6)
+        for target in TARGETS:
+            said = turned.export(target)
+            assert f"# Gyroscope values are in its own axes, of which {axes_text(own)} lie along" in said
+    assert "own axes, of which" not in calibration.export("px4")
     lagging = Term("temperature-gyro", warming.value, warming.covariance, {"reference_0": 24.0, "lag": 60.0})
     assert "LIMIT: not included: temperature-gyro" in Calibration(
         SOFT_IRON, HARD_IRON, GYRO_BIAS, terms=(lagging,)

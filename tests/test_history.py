@@ -15,8 +15,10 @@ from magyc_gtsam.factors.chain.vech import unvech, vech
 from magyc_gtsam.history import History
 from magyc_gtsam.history.chain import Observations, solve
 from magyc_gtsam.history.coordinates import shape_of, shape_slope, soft_iron_of, soft_iron_slope
-from magyc_gtsam.history.log_factor import LogFactor, compress
+from magyc_gtsam.history.log_factor import LogFactor, compress, factor_of
 from magyc_gtsam.recording.applied import as_calibrated
+from magyc_gtsam.recording.axes import parse_axes
+from magyc_gtsam.recording.turned import with_turned_gyroscope
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from season import SeasonPlan, dive_factors, draw_season
@@ -27,6 +29,16 @@ SEASONS = 4
 @pytest.fixture(scope="module")
 def dives() -> tuple[LogFactor, ...]:
     return dive_factors(("wide", "moderate", "low", "tiny"))
+
+
+def test_the_axes_of_the_gyroscope_are_kept_for_the_export(dives: tuple[LogFactor, ...], tmp_path: Path) -> None:
+    turned = [replace(dive, gyroscope_axes="y,z,x") for dive in dives[:2]]
+    History([*turned, dives[2]]).save(tmp_path / "history.yaml")
+    history = History.load(tmp_path / "history.yaml")
+    found = [each.configuration.get("gyroscope_axes") for each in (*history.calibrations, history.next)]
+    assert found == ["y,z,x", "y,z,x", None, None]
+    recording = with_turned_gyroscope(mg.simulate("wide", 60).recording, parse_axes("y,z,x"))
+    assert factor_of(recording, None, {}).gyroscope_axes == "y,z,x"
 
 
 def test_coordinates_and_their_slopes() -> None:

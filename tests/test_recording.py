@@ -387,13 +387,14 @@ def test_the_gyroscope_of_a_magnetometer_only_recording():
 
 
 def test_pickles():
-    told = {"angular_rate_is": "interval-mean", "attitude_is": "estimate"}
+    told = {"angular_rate_is": "interval-mean", "attitude_is": "estimate", "gyroscope_axes": "y,-x,z"}
     one = Recording(T, M, W, channels={"rpm": np.arange(len(T))}, name="dive", **told)
     two = pickle.loads(pickle.dumps(one))
     for name in ("time", "magnetic_field", "angular_rate", "magnetic_field_fresh"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
     assert (two.name, list(two.channels)) == ("dive", ["rpm"])
-    assert {name: getattr(two, name) for name in told} == told
+    for other in (two, one.rows(slice(5, None)), one.with_samples((T, M), (T, W))):
+        assert {name: getattr(other, name) for name in told} == told
 
 
 @pytest.mark.parametrize("same", [True, False])

@@ -112,9 +112,8 @@ def run(
         )
     if picture is not None and not json:
         raise given.without_effect("--picture", "--json")
-    from magyc_gtsam.recording.axes import parse_axes
+    from magyc_gtsam.recording.axes import axes_text, parse_axes
 
-    axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
     request = Request(
         sensors={"magnetic_field": magnetic_field, "angular_rate": angular_rate},
         units={"magnetic_field": parse_unit(magnetic_unit), "angular_rate": parse_unit(angular_unit)},
@@ -123,9 +122,10 @@ def run(
     place = scale.place() if method in (None, _METHOD) else None
     options: dict[str, Any] = {"field_strength": scale.tesla()} if place is None else {"field": list(place)}
     options["angular_rate_is"] = angular_rate_is
+    options["gyroscope_axes"] = None if gyroscope_axes is None else axes_text(parse_axes(gyroscope_axes))
     options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
     options |= beforehand(misalignment, prior, hard_iron_walk)
-    feed = Feed(_calibrator(state, method, options), axes)
+    feed = Feed(_calibrator(state, method, options))
     if idle is None and is_file(log):
         idle = _FILE_IDLE
     with (

@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.online.intake import ClockSetBack
-from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording import Samples
 from magyc_gtsam.recording.fingerprint import RunningFingerprint, first_shared
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ class Feed:
 
     Args:
         online: the calibrator.
-        axes: (3, 3) from the gyroscope's axes to the magnetometer's; None for the same axes.
 
     Attributes:
         taken: number of samples given to the calibrator.
@@ -35,11 +34,10 @@ class Feed:
             where a growing file is read from its beginning.
     """
 
-    def __init__(self, online: OnlineCalibrator, axes: Array | None = None) -> None:
+    def __init__(self, online: OnlineCalibrator) -> None:
         self.online = online
         self.taken = self.skipped = self._since = 0
         self._ignored = RunningFingerprint()  # of the samples before the first that is given
-        self._axes = axes
         self._until = online.taken_until  # the last stamps that an earlier run has used
 
     def take(self, batch: NewSamples) -> None:
@@ -63,8 +61,6 @@ class Feed:
             self._ignored.take(batch.magnetometer.value)
         if not count:
             return
-        if self._axes is not None:
-            gyroscope = Samples(gyroscope.time, gyroscope.value @ self._axes.T)
         try:
             self._give(magnetometer, gyroscope)
         except ClockSetBack:

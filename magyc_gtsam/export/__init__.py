@@ -24,6 +24,7 @@ from magyc_gtsam.export.vectornav import vectornav
 from magyc_gtsam.factors.effects.dated import afterwards
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording.axes import OWN_AXES, axes_text, parse_axes
 
 __all__ = ["TARGETS", "do_not_use", "export", "exported"]
 
@@ -46,6 +47,7 @@ def export(
     *,
     per_motor: bool = False,
     compass: int = 1,
+    gyroscope_axes: str = OWN_AXES,
 ) -> str:
     """Return the text to paste into `target`.
 
@@ -58,9 +60,10 @@ def export(
             after them; a comment says so, and lists the terms that the target cannot represent.
         per_motor: the channels of current are outputs of motors, each with separate compensation (ArduPilot).
         compass: number of the compass on the vehicle, from 1, for targets with several.
+        gyroscope_axes: `Recording.gyroscope_axes`; the gyroscope's values are turned back into its own axes.
 
     Raises:
-        MagycError: the target is unknown or cannot represent the calibration.
+        MagycError: the target is unknown or cannot represent the calibration, or the axes are no axes.
     """
     if target not in TARGETS:
         raise MagycError(f"unknown export target {target!r}; there are {', '.join(TARGETS)}")
@@ -71,7 +74,10 @@ def export(
         terms,
     )
     bare = Correction(
-        np.asarray(np.linalg.inv(after.soft_iron), dtype=np.float64), after.hard_iron, after.gyro_bias
+        np.asarray(np.linalg.inv(after.soft_iron), dtype=np.float64),
+        after.hard_iron,
+        after.gyro_bias,
+        parse_axes(gyroscope_axes),
     )
     correction, missing = with_terms(bare, after.terms, target, per_motor)
     lines = numbered(TARGETS[target](correction), target, compass)
@@ -79,7 +85,16 @@ def export(
     if target not in _WITH_TEMPERATURE:
         missing += ["temperature-hard-iron"] if correction.thermal is not None else []
         missing += ["temperature-gyro"] if correction.warming_gyro is not None else []
-    return "\n".join([*_limits(missing, [term.name for term in after.jumps]), *lines]) + "\n"
+    remarks = [*_limits(missing, [term.name for term in after.jumps]), *_in_own_axes(correction)]
+    return "\n".join([*remarks, *lines]) + "\n"
+
+
+def _in_own_axes(correction: Correction) -> list[str]:
+    """Return a comment on the axes of the gyroscope's values, if they are not those of the magnetometer."""
+    axes = axes_text(correction.gyro_axes)
+    if correction.gyro_bias is None or axes == OWN_AXES:
+        return []
+    return [f"# Gyroscope values are in its own axes, of which {axes} lie along the magnetometer's x, y, z."]
 
 
 def _limits(missing: Sequence[str], jumps: Sequence[str]) -> list[str]:
@@ -120,6 +135,7 @@ def exported(calibration: Any, target: str, force: bool, per_motor: bool) -> str
         calibration.terms,
         per_motor=per_motor,
         compass=calibration.configuration.get("compass", 1),
+        gyroscope_axes=calibration.configuration.get("gyroscope_axes", OWN_AXES),
     )
 
 

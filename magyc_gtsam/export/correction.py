@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ class Correction:
         matrix: (3, 3).
         offset: (3,) T.
         gyro_bias: (3,) rad/s, or None.
+        gyro_axes: (3, 3) from the gyroscope's own axes to the magnetometer's.
         rotation: (3, 3), or None.
         motor: (3,) T/A, or None.
         thermal: (3,) T/°C, or None.
@@ -38,6 +39,7 @@ class Correction:
     matrix: Array
     offset: Array
     gyro_bias: Array | None = None
+    gyro_axes: Array = field(default_factory=lambda: np.eye(3))
     rotation: Array | None = None
     motor: Array | None = None
     thermal: Array | None = None

@@ -26,22 +26,22 @@ def with_terms(
     """Return a correction with each term in the parameter that a target has for it, and the names of the others.
 
     Args:
-        bare: matrix, offset and gyroscope bias of the calibration.
+        bare: matrix, offset and gyroscope bias of the calibration, the bias in the magnetometer's axes; that of the
+            result, and its change with temperature, are in the gyroscope's own.
         terms: of the calibration.
         target: "px4", "ardupilot", "vectornav" or "ros".
         per_motor: the channels of current are outputs of motors, each with separate compensation.
     """
     missing: list[str] = []
     found: dict[str, Any] = {}
-    offset, gyro_bias = bare.offset, bare.gyro_bias
-    in_its_axes = all(term.name != "axis-order" for term in terms)
+    offset, own_axes = bare.offset, bare.gyro_axes
     for term in terms:
         exchanged = term.name == "axis-order"
         at_once = not term.setting.get("lag")  # no target corrects what follows its channel late
         steady = len(term.value) == 3 and at_once
         motor = term.name == "motor-current" and at_once
-        if exchanged and gyro_bias is not None:
-            gyro_bias = term.value.reshape(3, 3).T @ gyro_bias  # from the magnetometer's axes to the gyroscope's
+        if exchanged:
+            own_axes = term.value.reshape(3, 3) @ own_axes
         if motor and per_motor and "motors" not in found and target == "ardupilot":
             found["motors"], at_rest = motors_of(term.value, term.setting)
             offset = offset - at_rest
@@ -50,7 +50,7 @@ def with_terms(
             offset = offset - term.value * sum(term.setting.values())  # at most one reference: it has one channel
         elif term.name == "temperature-hard-iron" and steady:
             found |= {"thermal": term.value, "reference": term.setting.get("reference_0", 0.0)}
-        elif term.name == "temperature-gyro" and steady and in_its_axes:
+        elif term.name == "temperature-gyro" and steady:
             found |= {"warming_gyro": term.value, "gyro_reference": term.setting.get("reference_0", 0.0)}
         elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
             term.side is not None and term.name != "misalignment"
@@ -61,7 +61,9 @@ def with_terms(
         rotation = corrected_field(np.eye(3), np.eye(3), np.zeros(3), rotations, Signals(np.zeros(3)))
         if np.radians(degrees(rotation)) > _SMALLEST_ROTATION:
             found["rotation"] = rotation
-    return replace(bare, offset=offset, gyro_bias=gyro_bias, **found), missing
+    gyroscope = {"gyro_bias": bare.gyro_bias, "warming_gyro": found.get("warming_gyro")}
+    found |= {name: value if value is None else own_axes.T @ value for name, value in gyroscope.items()}
+    return replace(bare, offset=offset, gyro_axes=own_axes, **found), missing
 
 
 _COMPASSES = {"px4": 4, "ardupilot": 3}  # number of compasses with parameters; other targets correct one sensor

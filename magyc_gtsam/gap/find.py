@@ -9,6 +9,7 @@ from typing import overload
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import on_recording
+from magyc_gtsam.calibration.noted import noted, with_gyroscope_axes
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.effects import NAMES
@@ -93,9 +94,9 @@ def find_gap(
         ours = _side(recording, names, "", lambda done: None) if calibration is not None else _side_of(gap, result)
         gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
-    of_these = {"recordings": [fingerprint(recording)]}
-    fitted = replace(gap.calibration, diagnostics={**gap.calibration.diagnostics, **of_these})
-    return replace(gap, calibration=fitted)
+    fitted = noted(gap.calibration, recordings=[fingerprint(recording)])
+    axes = recording.gyroscope_axes
+    return replace(gap, calibration=with_gyroscope_axes(fitted, axes), base=with_gyroscope_axes(gap.base, axes))
 
 
 def _side(

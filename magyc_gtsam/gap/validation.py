@@ -32,6 +32,7 @@ from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.result import Moved
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.turned import with_turned_gyroscope
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _BIAS = slice(9, 12)
@@ -136,9 +137,8 @@ def _prepared(recording: Recording, calibration: Calibration) -> Recording:
     needs_gyroscope(recording)
     recording = without_faults(recording).recording
     for term in calibration.terms:
-        if term.name == "axis-order" and recording.angular_rate is not None:
-            turned = recording.angular_rate @ np.reshape(term.value, (3, 3)).T
-            recording = replace(recording, angular_rate=turned)
+        if term.name == "axis-order":
+            recording = with_turned_gyroscope(recording, np.reshape(term.value, (3, 3)))
     return settled(without_channel_holes(recording)[0], ())[0]
 
 

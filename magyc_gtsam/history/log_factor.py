@@ -24,6 +24,7 @@ from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
+from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.recording.time_zero import time_zero_of
 
@@ -59,6 +60,7 @@ class LogFactor:
         log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
         field_strength: field strength, T, estimated or given.
         problem: why the log has no information; "" if it has.
+        gyroscope_axes: of its recording.
         samples: fingerprint of its recording; "" in a history of an earlier version, of a file that cannot be read, of
             a copy of another log, and of a calibrated log.
     """
@@ -76,6 +78,7 @@ class LogFactor:
     problem: str = ""
     samples: str = ""
     noise_covariance: Array | None = None
+    gyroscope_axes: str = OWN_AXES
 
     @property
     def counts(self) -> bool:
@@ -139,8 +142,10 @@ def factor_of(recording: Recording, time: float | None, options: dict[str, Any])
     try:
         calibration = calibrate(recording, **options)
     except MagycError as problem:
-        return LogFactor(recording.name, when, None, None, problem=str(problem), samples=fingerprint(recording))
-    return replace(compress(calibration, recording.name, when), samples=fingerprint(recording))
+        factor = LogFactor(recording.name, when, None, None, problem=str(problem))
+    else:
+        factor = compress(calibration, recording.name, when)
+    return replace(factor, samples=fingerprint(recording), gyroscope_axes=recording.gyroscope_axes)
 
 
 def compress(calibration: Calibration, name: str, time: float | None) -> LogFactor:

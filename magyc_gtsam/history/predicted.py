@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.noted import with_gyroscope_axes
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.bias_scatter import predicted_bias
@@ -37,20 +38,18 @@ def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int
         mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument)
         reason = factor.problem or "its readings contradict the other logs"
         message = f"from other logs of the instrument, this one is not used ({reason})"
-    return _calibration(factors, instrument, mean, covariance, message, factor.field_strength)
+    return _calibration(factors, instrument, mean, covariance, message, factor)
 
 
 def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model: HistoryModel) -> Calibration:
     """Return the calibration for the next log: the last hard iron, its covariance widened by the walk, not by jumps."""
     mean, covariance = _without_bias(*instrument.ahead)
     mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument)
-    strength = next(
-        (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
-    )
+    last = next(factors[i] for i in reversed(instrument.order) if factors[i].mean is not None)
     message = (
         f"predicted from {counted(_logs_used(factors, instrument), 'log')}; it holds unless the hard iron jumps"
     )
-    return _calibration(factors, instrument, mean, covariance, message, strength)
+    return _calibration(factors, instrument, mean, covariance, message, last)
 
 
 def _logs_used(factors: Sequence[LogFactor], instrument: Instrument) -> int:
@@ -85,8 +84,9 @@ def _calibration(
     mean: Array,
     covariance: Array,
     message: str,
-    strength: float | None,
+    log: LogFactor,
 ) -> Calibration:
+    """Return the calibration, with the field strength and the gyroscope's axes of `log`."""
     scales = [factors[i].log_scale for i in instrument.order]
     known = [scale for scale in scales if scale is not None]
     diagnostics: dict[str, Any] = {
@@ -95,16 +95,17 @@ def _calibration(
         "scatter": instrument.scatter,
         "recordings": [factors[i].samples for i in instrument.order if factors[i].samples],
     }
-    return calibration_of(
+    found = calibration_of(
         mean,
         0.5 * (covariance + covariance.T),
         delay=_delay([factors[i] for i in instrument.order]),
         terms=_misalignment([factors[i] for i in instrument.order]),
         log_scale=float(np.mean(known)) if known else 0.0,
-        field_strength=strength,
+        field_strength=log.field_strength,
         message=message,
         diagnostics=diagnostics,
     )
+    return with_gyroscope_axes(found, log.gyroscope_axes)
 
 
 def _misalignment(logs: Sequence[LogFactor]) -> tuple[Term, ...]:

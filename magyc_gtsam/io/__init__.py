@@ -16,9 +16,10 @@ from magyc_gtsam.factors.lazy import attribute
 from magyc_gtsam.io.log_info import LogInfo, Source, hole_remarks, turned
 from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.recording.axes import in_magnetometer_axes, parse_axes
+from magyc_gtsam.recording.axes import parse_axes
 from magyc_gtsam.recording.stamps import holes
 from magyc_gtsam.recording.time_zero import time_zero_of
+from magyc_gtsam.recording.turned import in_magnetometer_axes
 from magyc_gtsam.storage.files import expect_path
 
 if TYPE_CHECKING:

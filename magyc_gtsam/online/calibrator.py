@@ -75,7 +75,7 @@ class OnlineCalibrator:
         # The state file needs an earlier calibration as JSON types.
         self.options = json_types(options, finite=False)
         self._engine: Engine = engine(**options)
-        self._intake = Intake()
+        self._intake = Intake(options.get("gyroscope_axes", "x,y,z"))
         self._repeats = ChanceRepeats()
         self._faults = SensorFaults()
         self._samples = RunningFingerprint()

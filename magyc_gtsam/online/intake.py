@@ -12,6 +12,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.arguments import block
 from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording.axes import OWN_AXES, parse_axes
 from magyc_gtsam.recording.stamps import check_seconds
 
 _LATE = 1.0  # s behind the last stamp; more, six times in a row, means that a clock was set back
@@ -121,9 +122,14 @@ def _among(rows: Array, known: Array) -> np.ndarray:
 
 
 class Intake:
-    """Separates rows of both sensors into two clean streams."""
+    """Separates rows of both sensors into two clean streams.
 
-    def __init__(self) -> None:
+    Args:
+        gyroscope_axes: the gyroscope's axes along the magnetometer's x, y, z, into which its rates are turned.
+    """
+
+    def __init__(self, gyroscope_axes: str = OWN_AXES) -> None:
+        self._axes = parse_axes(gyroscope_axes)
         self._streams = tuple(_Stream(name) for name in _NAMES)
         self._left_out = 0
         self._first = np.nan
@@ -150,7 +156,8 @@ class Intake:
         self._left_out += sum(count for *_, count in taken)
         if np.isnan(self._first):
             self._first = min((rows[0, 0] for rows in (magnetometer, gyroscope) if len(rows)), default=np.nan)
-        return Samples(magnetometer[:, 0], magnetometer[:, 1:]), Samples(gyroscope[:, 0], gyroscope[:, 1:])
+        turned = gyroscope[:, 1:] @ self._axes.T
+        return Samples(magnetometer[:, 0], magnetometer[:, 1:]), Samples(gyroscope[:, 0], turned)
 
     @property
     def until(self) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.noted import with_gyroscope_axes
 from magyc_gtsam.estimators.magyc.derivative_windows import (
     LEAST_WINDOWS,
     form_windows,
@@ -18,6 +19,7 @@ from magyc_gtsam.estimators.magyc.options import IncrementalOptions
 from magyc_gtsam.estimators.magyc.state import limits_about
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.recording.growing_rows import GrowingRows
 
 _WAITING = 60.0  # s of samples of one sensor that are kept while the other is silent
@@ -26,14 +28,16 @@ _STILL = 0.5  # share of the limits by which a settled estimate may differ from 
 
 
 class IncrementalMagyc:
-    """The engine of `OnlineCalibrator(method="magyc-ifg")`; `chosen` are `IncrementalOptions`.
+    """The engine of `OnlineCalibrator(method="magyc-ifg")`; `chosen` are `IncrementalOptions`, `gyroscope_axes` those
+    of `mg.read`.
 
     With `compressed=False` time and memory grow with the mission.
     """
 
-    options = frozenset(IncrementalOptions.__dataclass_fields__)
+    options = frozenset(IncrementalOptions.__dataclass_fields__) | {"gyroscope_axes"}
 
-    def __init__(self, **chosen: Any) -> None:
+    def __init__(self, gyroscope_axes: str = OWN_AXES, **chosen: Any) -> None:
+        self._gyroscope_axes = gyroscope_axes
         self._graph = MagycGraph(IncrementalOptions(**chosen))
         self._window = self._graph.options.window
         self._waiting = (GrowingRows(4), GrowingRows(4))  # samples of windows still open: time, value
@@ -94,8 +98,9 @@ class IncrementalMagyc:
         parameters = graph.estimate()
         if parameters is None or len(self._visited) < LEAST_WINDOWS:
             return None
-        recording = Recording(self._visited[:, 0], self._visited[:, 1:])
-        return graph.calibration(parameters, recording, windows=len(graph))
+        recording = Recording(self._visited[:, 0], self._visited[:, 1:], gyroscope_axes=self._gyroscope_axes)
+        calibration = graph.calibration(parameters, recording, windows=len(graph))
+        return with_gyroscope_axes(calibration, recording.gyroscope_axes)
 
     def converged(self) -> bool:
         """See `Engine.converged`: observable, and near the mean over the last fifth of the estimates."""

@@ -25,7 +25,7 @@ from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted
 from magyc_gtsam.recording import Array, Recording, Samples
-from magyc_gtsam.recording.held import with_equal_samples
+from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.storage.json_types import from_typed_json, typed_json
 
 FIRST = 12  # windows before the first fit
@@ -47,6 +47,7 @@ class OnlineOptions(SmootherOptions):
             √h, while it runs.
         detect_changes: whether to look for steps in hard iron.
         angular_rate_is: as in `Recording`.
+        gyroscope_axes: the gyroscope's axes along the magnetometer's x, y, z, as in `mg.read`.
         horizon: duration of the samples that are kept for refits, s.
 
     Raises:
@@ -57,6 +58,7 @@ class OnlineOptions(SmootherOptions):
     gyro_bias_drift: float = 0.0
     detect_changes: bool = True
     angular_rate_is: Literal["instant", "interval-mean"] = "instant"
+    gyroscope_axes: str = OWN_AXES
     horizon: float = 3600.0
 
     def __post_init__(self) -> None:
@@ -262,8 +264,11 @@ class SmootherState:
     def recording(self, stop: int | None, first: int | None = None) -> Recording:
         """Return the samples of the windows from `first` up to `stop`; None for no limit."""
         magnetometer, gyroscope = self.buffer.between(first, stop, self.delay)
-        result = Recording.from_streams(magnetometer, gyroscope, angular_rate_is=self.settings.angular_rate_is)
-        return with_equal_samples(result)  # the buffer holds samples alone
+        settings = self.settings
+        result = Recording.from_streams(magnetometer, gyroscope, angular_rate_is=settings.angular_rate_is)
+        # The buffer holds samples alone, whose rates the intake has turned.
+        fresh = result.magnetic_field_stamped
+        return replace(result, magnetic_field_fresh=fresh, gyroscope_axes=settings.gyroscope_axes)
 
     def fit_tail(self, stop: int) -> Fit:
         """Fit the tail up to window `stop`, given the head."""

@@ -1,16 +1,15 @@
-"""A gyroscope whose axes are not those of the magnetometer, brought into them."""
+"""The axes of a gyroscope along those of the magnetometer, as text and as a matrix."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording.checks import Array
-from magyc_gtsam.recording.recording import Recording
 
+OWN_AXES = "x,y,z"  # of a gyroscope that is left as it is delivered
 _AXIS = re.compile(r"^(?:[xyz]\s*(?:←|<-|=)\s*)?([+−-]?)\s*([xyz])$")
 
 
@@ -33,24 +32,7 @@ def parse_axes(text: str) -> Array:
     return matrix
 
 
-def in_magnetometer_axes(recording: Recording, axes: Array) -> Recording:
-    """Return the recording with gyroscope and accelerometer, which share a chip, in the magnetometer's axes.
-
-    Args:
-        recording: as the sensors deliver it.
-        axes: (3, 3) of `parse_axes`.
-    """
-    rate, acceleration, notes = recording.angular_rate, recording.acceleration, recording.notes
-    if acceleration is not None and np.linalg.det(axes) < 0:
-        # A mirrored gyroscope has other signs than its accelerometer, whose signs are then unknown.
-        acceleration = None
-        notes = (
-            *notes,
-            "acceleration left out: the gyroscope's axes mirror (gyroscope_axes=), and the accelerometer's are unknown",
-        )
-    return replace(
-        recording,
-        angular_rate=None if rate is None else rate @ axes.T,
-        acceleration=None if acceleration is None else acceleration @ axes.T,
-        notes=notes,
-    )
+def axes_text(axes: Array) -> str:
+    """Return the text, such as "y,-x,z", of which `parse_axes` makes these axes (3, 3), whatever their scale."""
+    columns = np.abs(axes).argmax(axis=1)
+    return ",".join("-" * bool(row[k] < 0) + "xyz"[k] for row, k in zip(axes, columns, strict=True))

@@ -18,6 +18,7 @@ import numpy as np
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import LONGEST, printable
+from magyc_gtsam.recording.axes import OWN_AXES, axes_text, parse_axes
 from magyc_gtsam.recording.checks import (
     NO_GYROSCOPE,
     Array,
@@ -67,6 +68,8 @@ class Recording:
             "interval-mean" (mean rate since the previous row, as delta angles are).
         attitude_is: "independent" of the magnetometer, or an "estimate" to which it contributed, as an autopilot's
             does. A calibration that rests on an estimate is not trusted.
+        gyroscope_axes: the sensor's own axes along x, y, z of `angular_rate`, where it was turned into the axes of the
+            magnetometer, such as "y,-x,z". Advice and exports are in the sensor's own.
         magnetic_field_unit: "T", or "counts" where the scale is unknown; then the field, and every result that has
             its unit, is in counts.
         magnetic_field_fresh: (N,) bool, rows that hold a true sample of the magnetometer. Default: all rows that do
@@ -90,6 +93,7 @@ class Recording:
     name: str = field(default="", kw_only=True)
     angular_rate_is: RateKind = field(default="instant", kw_only=True)
     attitude_is: AttitudeKind = field(default="independent", kw_only=True)
+    gyroscope_axes: str = field(default=OWN_AXES, kw_only=True)
     magnetic_field_unit: FieldUnit = field(default="T", kw_only=True)
     magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
@@ -104,6 +108,7 @@ class Recording:
         put(self, "notes", given_notes(self.notes))
         check_choice("angular_rate_is", self.angular_rate_is, get_args(RateKind))
         check_choice("attitude_is", self.attitude_is, get_args(AttitudeKind))
+        put(self, "gyroscope_axes", axes_text(parse_axes(self.gyroscope_axes)))
         check_choice("magnetic_field_unit", self.magnetic_field_unit, get_args(FieldUnit))
         time = frozen("time", seconds("time", self.time, origin_of(self.time)), (None,))
         if len(time) < 3:
@@ -271,18 +276,11 @@ class Recording:
                 known = np.isfinite(values).reshape(len(values), -1).all(axis=1)
                 if known.sum() > 1:
                     others[name] = (self.time[known], values[known])
-        return Recording.from_streams(
-            magnetic_field,
-            angular_rate,
-            acceleration=others.pop("acceleration", None),
-            attitude=others.pop("attitude", None),
-            channels=others,
-            name=self.name,
-            notes=self.notes,
-            angular_rate_is=self.angular_rate_is,
-            attitude_is=self.attitude_is,
-            magnetic_field_unit=self.magnetic_field_unit,
-        )
+        acceleration, attitude = (others.pop(name, None) for name in ("acceleration", "attitude"))
+        united = unite(magnetic_field, angular_rate, acceleration, attitude, others, self.angular_rate_is)
+        absent = dict.fromkeys(("angular_rate", "acceleration", "attitude"))
+        united = {**absent, **united, "notes": (*self.notes, *united["notes"])}
+        return replace(self, **united)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, (

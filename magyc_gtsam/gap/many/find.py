@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.noted import noted, with_gyroscope_axes
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested
 from magyc_gtsam.gap.evidence.generic import families
@@ -284,4 +285,5 @@ def _calibration(log: OneLog, complete: bool) -> Calibration:
     why = "" if log.clipped is None else why_clipped(log.clipped, found, complete)
     if log.clipped is not None and why:
         found = doubted(found, doubt_of_clipped(log.clipped, why))
-    return replace(found, diagnostics={**found.diagnostics, "recordings": [fingerprint(log.recording)]})
+    found = noted(found, recordings=[fingerprint(log.recording)])
+    return with_gyroscope_axes(found, log.recording.gyroscope_axes)

@@ -17,6 +17,7 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, lattice, sample_hold
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.held import with_chance_repeats
+from magyc_gtsam.recording.turned import with_turned_gyroscope
 
 _ORDER = 12  # of the differences, which suppress a motion with eight or more samples in its shortest period
 
@@ -45,8 +46,7 @@ def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
         best = arrangements(recording)[0]
         if best.unit:
             raise
-        assert recording.angular_rate is not None
-        turned = replace(recording, angular_rate=recording.angular_rate @ best.matrix.T)
+        turned = with_turned_gyroscope(recording, best.matrix)
         explained = 1 - best.unexplained
         setting = {"explained": explained}
         return turned, [NoiseScore.counted("axis-order", explained, True, True, best.matrix.ravel(), setting)]
