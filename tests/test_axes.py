@@ -8,6 +8,8 @@ import pytest
 
 from magyc_gtsam import MagycError, Recording, simulate
 from magyc_gtsam.estimators.smoother import axes
+from magyc_gtsam.recording.axes import parse_axes
+from magyc_gtsam.recording.turned import in_magnetometer_axes
 
 MATRICES = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -43,6 +45,19 @@ def test_every_signed_permutation_is_found(tumbling, matrix):
             axes.check(disguised)
         assert best.axes in str(caught.value)
         assert "gyroscope_axes=" in str(caught.value)
+
+
+@pytest.mark.parametrize(("given", "own"), [("y,z,x", "z,x,y"), ("-x,y,z", "z,x,y"), ("y,-x,z", "x,y,z")])
+def test_the_advice_is_on_the_sensor_and_not_on_what_was_made_of_it(tumbling, given, own):
+    """Whoever follows it is done; it was relative to the axes given, and led from one wrong pair to the next."""
+    sensor = replace(tumbling, angular_rate=tumbling.angular_rate @ parse_axes(own))
+    wrong = in_magnetometer_axes(sensor, parse_axes(given))
+    advice = "leave out gyroscope_axes=" if own == "x,y,z" else f"bring both to one frame (gyroscope_axes='{own}')"
+    with pytest.raises(MagycError) as caught:
+        axes.check(wrong)
+    assert f" with {axes.axes_words(own)} " in str(caught.value)
+    assert str(caught.value).endswith(f"; {advice}")
+    axes.check(in_magnetometer_axes(sensor, parse_axes(own)))
 
 
 def test_degrees_for_radians_are_named(tumbling):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
@@ -14,6 +15,7 @@ from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.evidence.decision import NOTHING
 from magyc_gtsam.gap.preparation.discrete import moving
 from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.recording.turned import with_turned_gyroscope
 from magyc_gtsam.report.gap_words import assumption_rows
 from magyc_gtsam.simulation.environment import CHANNELS
 
@@ -161,14 +163,19 @@ def test_exchanged_axes_are_named_first() -> None:
     base = recording(16)
     matrix = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     assert base.angular_rate is not None
-    gap = mg.find_gap(replace(base, angular_rate=base.angular_rate @ matrix.T))
+    turned = with_turned_gyroscope(base, matrix)  # as read with gyroscope_axes="y,-x,z", which is wrong here
+    gap = mg.find_gap(turned)
     assert gap.names == ("axis-order",)
     assert gap.verdict == "closed"
     np.testing.assert_array_equal(gap.effects[0].value.reshape(3, 3), matrix.T)
+    assert gap.sentence.endswith("read the gyroscope as x ← x, y ← y, z ← z, without gyroscope_axes=")
+    assert gap.calibration.configuration == gap.base.configuration == {"gyroscope_axes": "y,-x,z"}
     straight = mg.find_gap(base, candidates=["axis-order"])
     assert straight.base.gyro_bias is not None
     assert gap.calibration.gyro_bias is not None
     np.testing.assert_allclose(gap.calibration.hard_iron, straight.calibration.hard_iron, atol=5e-8)
+    own = (yaml.safe_load(each.calibration.export("ros"))["/**"]["ros__parameters"] for each in (gap, straight))
+    np.testing.assert_allclose(*(each["gyroscope_bias"] for each in own), atol=2e-5)
 
 
 def test_what_is_in_no_catalogue_is_called_unknown_and_nothing_is_changed() -> None:

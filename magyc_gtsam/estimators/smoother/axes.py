@@ -15,6 +15,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.axes import OWN_AXES, axes_text, parse_axes
 from magyc_gtsam.recording.time_base import interpolated
 
 _LEAST_SAMPLES = 60  # magnetometer samples of three values each, for nine unknowns and 144 arrangements
@@ -51,16 +52,13 @@ class Arrangement(NamedTuple):
     @property
     def axes(self) -> str:
         """The gyroscope's axes in those of the magnetometer, e.g. "x ← −y, y ← x, z ← z"."""
-        parts = []
-        for name, row in zip("xyz", np.sign(self.matrix), strict=True):
-            column = int(np.argmax(np.abs(row)))
-            parts.append(f"{name} ← {'−' if row[column] < 0 else ''}{'xyz'[column]}")
-        return ", ".join(parts)
+        return axes_words(axes_text(self.matrix))
 
-    @property
-    def option(self) -> str:
-        """The axes in the form of `gyroscope_axes`, e.g. "-y,x,z"."""
-        return ",".join(part.partition(" ← ")[2] for part in self.axes.split(", ")).replace("−", "-")
+
+def axes_words(axes: str) -> str:
+    """Return `Recording.gyroscope_axes` in words, e.g. "x ← −y, y ← x, z ← z" of "-y,x,z"."""
+    parts = axes.replace("-", "−").split(",")
+    return ", ".join(f"{name} ← {part}" for name, part in zip("xyz", parts, strict=True))
 
 
 def arrangements(recording: Recording) -> list[Arrangement]:
@@ -133,9 +131,13 @@ def check(recording: Recording) -> None:
             f"angular_rate: as given it explains {as_given} of the field's changes, read as {best.unit} "
             f"{otherwise}; convert it, or read it in its unit (angular_unit='{best.unit}')"
         )
+    own = axes_text(best.matrix @ parse_axes(recording.gyroscope_axes))  # of the sensor, whatever it was given
+    remedy = (
+        f"bring both to one frame (gyroscope_axes='{own}')" if own != OWN_AXES else "leave out gyroscope_axes="
+    )
     raise MagycError(
         f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains {as_given} of the "
-        f"field's changes, with {best.axes} {otherwise}; bring both to one frame (gyroscope_axes='{best.option}')"
+        f"field's changes, with {axes_words(own)} {otherwise}; {remedy}"
     )
 
 

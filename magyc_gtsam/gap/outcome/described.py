@@ -7,7 +7,7 @@ from collections.abc import Container, Mapping, Sequence
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.axes import Arrangement
+from magyc_gtsam.estimators.smoother.axes import axes_words
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
@@ -15,6 +15,7 @@ from magyc_gtsam.gap.naming.named import Found, term_places
 from magyc_gtsam.gap.outcome.step_time import step_time_sigmas
 from magyc_gtsam.gap.result import Effect
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.recording.axes import OWN_AXES
 
 FIELD_VARIES = "field of the place that varies"
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
@@ -43,7 +44,7 @@ def _enumerated(values: Sequence[str]) -> str:
     return f"{', '.join(values[:-1])} and {values[-1]}"
 
 
-def _noise_sentence(noise: NoiseScore) -> str:
+def _noise_sentence(noise: NoiseScore, gyroscope_axes: str) -> str:
     value, setting = float(noise.value[0]), noise.setting
     if noise.name == "tone":
         size = float(np.linalg.norm(noise.value))
@@ -72,8 +73,8 @@ def _noise_sentence(noise: NoiseScore) -> str:
         )
     if noise.name == "sample-hold":
         return f"the magnetometer repeats {setting['share']:.0%} of its rows; held rows were left out"
-    arrangement = Arrangement(noise.value.reshape(3, 3), "", 1 - setting["explained"])
-    return f"the sensors' axes differ: read the gyroscope as {arrangement.axes}"
+    without = ", without gyroscope_axes=" if gyroscope_axes == OWN_AXES else ""
+    return f"the sensors' axes differ: read the gyroscope as {axes_words(gyroscope_axes)}{without}"
 
 
 def describe(
@@ -115,7 +116,7 @@ def describe(
             value, sigma, setting = one.noise.value, one.noise.sigma, dict(one.noise.setting)
             unit, scale = one.noise.shown
             parameters = _TONE if one.name == "tone" else ("",) * len(value)
-            sentence = _noise_sentence(one.noise)
+            sentence = _noise_sentence(one.noise, refitted.twin.problem.recording.gyroscope_axes)
         if place in uncorrected:
             sentence = f"{sentence} ({_UNPAID if place in unpaid else _OPEN})"
         effects.append(
