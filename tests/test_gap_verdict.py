@@ -7,6 +7,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.calibration import Calibration
@@ -141,6 +142,23 @@ def _put_down(simulation: Simulation, field: np.ndarray, change: np.ndarray) -> 
     rest = field[-1] + change + 1e-6 * random.standard_normal((80, 3))
     rate = simulation.truth.gyro_bias + 5e-3 * random.standard_normal((80, 3))
     return mg.Recording(time, np.concatenate([field, rest]), np.concatenate([recording.angular_rate, rate]))
+
+
+def test_a_vehicle_that_is_put_down_comes_to_another_place() -> None:
+    """Its field changes while the vehicle moves; at rest it is a magnet that is attached."""
+    simulation = mg.simulate("wide", 120, seed=7)
+    change, field = np.array([4e-6, -3e-6, 5e-6]), simulation.recording.magnetic_field
+    names = ["hard-iron-step", "local-anomaly"]
+    to_sensor = Rotation.from_quat(simulation.recording.attitude).inv()
+    near = to_sensor.apply(change) * (simulation.recording.time > 118)[:, None]  # while it still turns
+    recording = _put_down(simulation, field + near, np.zeros(3))
+    put_down = mg.find_gap(recording, candidates=names)
+    assert [effect.name for effect in put_down.effects] == ["local-anomaly"]
+    assert put_down.calibration.trusted, put_down.calibration.message
+    twin = base_model(recording, None, short_term_noise(recording)).twin
+    stays = [each for each in TERMS["local-anomaly"].settings(twin) if "width" not in each]
+    times = [each["time"] for each in stays if "time" in each]
+    assert 100 < max(times) < 121  # not at rest, where an iron was attached or nothing changed
 
 
 def test_a_jump_after_which_the_vehicle_rests_may_be_of_the_place() -> None:

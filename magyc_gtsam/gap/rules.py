@@ -105,6 +105,12 @@ class Rules:
     # rad, root mean square rotation during a stay, above which a field of the place is not one of the vehicle: at rest
     # before its magnet is attached BROAD 32 has 0.1, by a wrong bias; stays on the motion "tiny" have 0.8
     stay_turns: float = 0.3
+    # s, between changes that are one event, and before and after a change of the place, when the vehicle moves
+    at_once: float = 1.0
+    # rad, rotation as above within that time around a change of the place, from which the vehicle moved there: BROAD 01
+    # and 06 have 0.05 to 0.7 where they are picked up and put down, BROAD 32 has 0.01 where its magnet is attached, and
+    # a wrong bias makes 0.02 of a rest
+    stay_moves: float = 0.04
     same_row: float = 0.99  # correlation above which two rows of a channel are the same
 
     # What could not be found.

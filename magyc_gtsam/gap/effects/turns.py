@@ -9,12 +9,12 @@ from magyc_gtsam.gap.model.twin import Twin
 
 
 def turned(twin: Twin, start: Array, end: Array) -> Array:
-    """Return the root mean square rotation (k,), rad, of the vehicle from each start to each end (k,), s.
+    """Return the root mean square rotation (...), rad, of the vehicle from each start to each end (...), s.
 
-    It is that of the world axis that moves most in the sensor, at most 1.
+    It is that of the world axis that moves most in the sensor, at most 1; 0 without a window in between.
     """
     first, last = (np.searchsorted(twin.time, each, side="right") for each in (start, end))
     total = np.pad(np.cumsum(twin.windows.need("to_sensor"), axis=2), ((0, 0), (0, 0), (1, 0)))
     mean = (total[..., last] - total[..., first]) / np.maximum(last - first, 1)
-    result: Array = np.sqrt(np.maximum(1 - (mean**2).sum(axis=0), 0.0)).max(axis=0)
+    result: Array = np.sqrt(np.maximum(1 - (mean**2).sum(axis=0), 0.0)).max(axis=0) * (last > first)
     return result

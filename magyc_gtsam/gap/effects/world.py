@@ -56,7 +56,7 @@ def _passings_and_stays(twin: Twin) -> list[dict[str, float]]:
     """
     middle = 0.5 * float(twin.time[0] + twin.time[-1])
     changes = [setting["time"] for setting in step_times(twin, _PLACES)]
-    return _bumps(twin) + _turning(twin, [{"until" if time < middle else "time": time} for time in changes])
+    return _bumps(twin) + _possible(twin, [{"until" if time < middle else "time": time} for time in changes])
 
 
 def _stays_between(twin: Twin, time: float) -> list[dict[str, float]]:
@@ -64,13 +64,19 @@ def _stays_between(twin: Twin, time: float) -> list[dict[str, float]]:
     shortest = 2 * max(_widths(twin), default=_WIDTHS[0])
     ends = [setting["time"] for setting in step_times(twin, _ENDS)]
     stays = [{"time": min(time, end), "until": max(time, end)} for end in ends if abs(end - time) > shortest]
-    return _turning(twin, stays)
+    return _possible(twin, stays)
 
 
-def _turning(twin: Twin, stays: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Return those stays in which the vehicle turns: without, its hard iron has changed as well as the place."""
+def _possible(twin: Twin, stays: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Return those stays in which the vehicle turns, or at whose ends it moves.
+
+    Without turns its hard iron may have changed instead of the place. But a place changes while the vehicle moves, as
+    where it is put on a table, and a magnet may be attached at rest.
+    """
     ends = np.array([[stay.get("time", -np.inf), stay.get("until", np.inf)] for stay in stays]).reshape(-1, 2)
-    return [stay for stay, angle in zip(stays, turned(twin, *ends.T), strict=True) if angle > RULES.stay_turns]
+    turns = turned(twin, *ends.T) > RULES.stay_turns
+    moves = (turned(twin, ends - RULES.at_once, ends + RULES.at_once) > RULES.stay_moves) | np.isinf(ends)
+    return [stay for stay, one in zip(stays, turns | moves.all(axis=1), strict=True) if one]
 
 
 def _nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:

@@ -202,11 +202,18 @@ def related(one: str, other: str) -> bool:
 
 
 def _one_passing(one: Active, other: Active) -> bool:
-    """Return whether two anomalies are one object: bumps near each other, whose field rotates meanwhile, or one at the
-    beginning or the end of a stay.
+    """Return whether two changes are one event.
+
+    So are anomalies that are one object: bumps near each other, whose field rotates meanwhile, or one at the beginning
+    or the end of a stay; and a jump of the iron when the place changes, which a vehicle at rest takes for each other.
     """
-    if one.name != "local-anomaly" or other.name != one.name:
+    names = {one.name, other.name}
+    if "local-anomaly" not in names or not names <= {"local-anomaly", "hard-iron-step"}:
         return False
     reach = RULES.span * (one.setting.get("width", 0.0) + other.setting.get("width", 0.0))
+    if len(names) == 2:
+        if reach:
+            return False
+        reach = RULES.at_once
     ends = [[part.setting[end] for end in ("time", "until") if end in part.setting] for part in (one, other)]
     return any(abs(first - second) < reach for first in ends[0] for second in ends[1])

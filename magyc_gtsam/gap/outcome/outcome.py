@@ -11,6 +11,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.effects.world import ANOMALY
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
@@ -86,7 +87,9 @@ def gap_of(
     open_places = {place: index for place, index in places.items() if not determined(plain, index)}
     unpaid = _not_worthwhile(result, last, {p: i for p, i in places.items() if p not in open_places})
     open_places |= unpaid
-    word = verdict(found, result.leftover, open_places)
+    # An object that was passed is no part of the instrument: without its correction the covariance includes the misfit.
+    passed = {place for place in unpaid if found[place].name == ANOMALY.name}
+    word = verdict(found, result.leftover, open_places.keys() - passed)
     turned = tuple(term for term in added if term.name == "axis-order")  # already corrected in the fitted data
     started = as_calibration(base, strength, (*known, *turned))
     plainly, untrusted = judged(started, base, first.recording, strength)
