@@ -22,7 +22,7 @@ from magyc_gtsam.cli import main
 from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.engine import DIED, run_many
-from magyc_gtsam.io import write_mcap
+from magyc_gtsam.io import SUFFIXES, write_mcap
 from magyc_gtsam.io.many import find_logs
 
 DIVE = Path(__file__).parents[1] / "datasets" / "calibration_dive.mcap"
@@ -64,6 +64,21 @@ def test_logs_are_found(season: Path) -> None:
     (season / "empty").mkdir(exist_ok=True)
     with pytest.raises(mg.MagycError, match="no logs in this folder"):
         find_logs(season / "empty")
+
+
+def test_logs_of_every_reader_are_found(tmp_path: Path) -> None:
+    """A folder listed the suffixes of half of them, and left the others out without a word."""
+    bag = tmp_path / "bag"  # of ROS 2: a folder, and one log
+    bag.mkdir()
+    (bag / "metadata.yaml").touch()
+    logs = {bag / "bag_0.db3", *(tmp_path / f"LOG{suffix.upper()}" for suffix in SUFFIXES if suffix != ".db3")}
+    for log in logs:
+        log.touch()
+    assert {".tlog", ".bag", ".db3", ".zip", ".bbl", ".bfl"} < set(SUFFIXES)
+    assert set(find_logs(tmp_path)) == logs
+    assert set(find_logs(str(tmp_path / "**" / "*"))) == logs
+    with pytest.raises(mg.MagycError, match=r"got a directory; read its bag_0\.db3"):
+        mg.read(bag)
 
 
 def test_read_many_reads_when_asked(season: Path) -> None:

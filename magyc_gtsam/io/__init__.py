@@ -37,7 +37,7 @@ _MAGIC = {
     b"PK\x03\x04": "phone_archive",
     b"H Product:Blackbox": "blackbox",
 }
-_SUFFIXES = {
+SUFFIXES = {  # of the logs that folders are searched for
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log"), "csv_log"),
     ".mcap": "mcap_log",
     ".ulg": "ulog",
@@ -176,7 +176,7 @@ def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:
 def _reader(path: Path) -> ModuleType:
     """Return the module that reads a file."""
     if path.is_dir():
-        inside = sorted(path.glob("*.mcap"))
+        inside = [*sorted(path.glob("*.mcap")), *sorted(path.glob("*.db3"))]
         hint = f"; read its {inside[0].name}" if inside else "; name a log in it"
         raise MagycError(f"{path}: expected a file, got a directory{hint}")
     try:
@@ -195,7 +195,7 @@ def _reader(path: Path) -> ModuleType:
             f"{path}: JSON is not a format of logs; write a text table, or pass JSON lines to `magyc-gtsam online -`"
         )
     by_content = next((name for magic, name in _MAGIC.items() if head.startswith(magic)), None)
-    name = by_content or _SUFFIXES.get(path.suffix.lower()) or ("csv_log" if b"\0" not in head else None)
+    name = by_content or SUFFIXES.get(path.suffix.lower()) or ("csv_log" if b"\0" not in head else None)
     if name is None or (by_content is None and name == "csv_log" and b"\0" in head):
         raise MagycError(f"{path}: not a format that can be read ({_KNOWN})")
     if by_content is None and name not in _WITHOUT_MAGIC:

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, overload
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io import read
+from magyc_gtsam.io import SUFFIXES, read
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.storage.files import expect_path
 
-SUFFIXES = (".mcap", ".ulg", ".bin", ".csv", ".txt", ".tsv", ".dat", ".log")
 _PATTERN = ("*", "?", "[")
 # Results of the command line with the suffix of a log, and a file that each is beside.
 _RESULTS = {

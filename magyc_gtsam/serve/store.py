@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io import SUFFIXES
 from magyc_gtsam.serve.limits import Limits
 from magyc_gtsam.storage.files import write_text
 
 RECORD = "serve.json"  # the server's record of a result
 _UPLOADS = ".magyc-gtsam-uploads"
-_SUFFIXES = (
-    ".mcap", ".csv", ".txt", ".tsv", ".dat", ".log", ".ulg", ".bin", ".bag", ".db3", ".zip", ".tlog", ".bbl", ".bfl",
-)  # fmt: skip
 _MOST_LISTED = 500
 _KINDS = {
     "gap.json": "gap",
@@ -90,7 +88,7 @@ class Store:
 
     def _in_folder(self) -> list[StoredLog]:
         paths = sorted(
-            p for p in self.folder.iterdir() if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".")
+            p for p in self.folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")
         )
         return [
             StoredLog(
