@@ -152,6 +152,10 @@ def test_what_cannot_be_compared_is_said(late: list[mg.Recording]) -> None:
     assert mg.find_gap(late[:1]).verdict == "not enough information"
     twice = mg.find_gap([late[0], replace(late[0], name="copy")])
     assert [(each.log, twice.verdict) for each in twice.own] == [("copy", "not enough information")]
+    mute = replace(late[0], angular_rate=None, angular_rate_fresh=None, name="mute")
+    shadowed = mg.find_gap([mute, late[0]])  # the samples of a log that cannot be used are not counted with it
+    assert [each.log for each in shadowed.own] == ["mute"]
+    assert "1 of the logs" in shadowed.sentence
     with pytest.raises(mg.MagycError, match="no recordings"):
         mg.find_gap([])
     with pytest.raises(mg.MagycError, match="takes no calibration="):

@@ -96,12 +96,12 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         if first is not None:
             own.append(LogLeftOut(called, f"the same samples as {known[first]}, which count once"))
             continue
-        known[samples] = called
         if is_calibrated(recording):
             own.append(LogLeftOut(called, CALIBRATED))
             continue
         try:
             logs.append(OneLog.of(recording, names, called))
+            known[samples] = called  # only now: a log that is left out hides none with the same samples
         except MagycError as problem:
             own.append(LogLeftOut(called, str(problem)))
         report((k + 1) / len(recordings))
