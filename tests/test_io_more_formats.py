@@ -147,6 +147,48 @@ def test_telemetry(tmp_path: Path) -> None:
         read(tmp_path / "none.tlog")
 
 
+def test_one_sender_of_telemetry_is_read(tmp_path: Path) -> None:
+    """Two chips by `id`, a second component, and rows in which the magnetometer or the gyroscope is not new."""
+    pytest.importorskip("pymavlink")
+    dialect = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    field, rate = FIELD.astype(np.float32), RATE.astype(np.float32)
+
+    def written(name: str, stamp: int, senders: tuple[tuple[int, int], ...]) -> Path:
+        with open(tmp_path / name, "wb") as file:
+            for k in range(N):
+                for late, (component, number) in enumerate(senders):
+                    own = field[k] * np.float32(1e4) + late if k % 3 == 0 else np.full(3, 0.1)
+                    message = dialect.MAVLink_highres_imu_message(
+                        stamp * k,
+                        0,
+                        0,
+                        9.8,
+                        *rate[k].tolist(),
+                        *own.tolist(),
+                        0,
+                        0,
+                        0,
+                        0,
+                        0x1FF if k % 3 == 0 else 0x3F,
+                        number,
+                    )
+                    file.write((START // 1000 + 20_000 * k).to_bytes(8, "big"))
+                    file.write(message.pack(dialect.MAVLink(None, srcSystem=1, srcComponent=component)))
+        return tmp_path / name
+
+    one = read(written("one.tlog", 20_000, ((1, 0),)))
+    np.testing.assert_allclose(one.magnetometer.value, field[::3], rtol=1e-6)
+    assert len(one.gyroscope.value) >= N - 2  # within the time that both cover
+    several = read(written("several.tlog", 20_000, ((1, 1), (191, 0), (1, 0))))
+    np.testing.assert_allclose(several.magnetometer.value, field[::3] + 2e-4, rtol=1e-5)
+    assert "system 1, component 1, id 0 is read; ignored: " in several.notes[1]
+    assert several.notes[1].endswith("system 1, component 1, id 1; system 1, component 191, id 0")
+    without = written("zero.tlog", 0, ((1, 0),))
+    with pytest.raises(MagycError, match=r"received them \(stamps='log'\)"):
+        read(without)
+    np.testing.assert_array_equal(read(without, stamps="log").magnetometer.value, one.magnetometer.value)
+
+
 def table(header: str, columns: list[np.ndarray]) -> str:
     return header + "\n" + "\n".join(",".join(map(repr, row)) for row in np.column_stack(columns).tolist())
 

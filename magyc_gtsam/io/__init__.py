@@ -86,7 +86,7 @@ def read(
         angular_unit: unit of the gyroscope, in the same way: "rad/s", "deg/s", "mrad/s".
         acceleration_unit: unit of the accelerometer, in the same way: "m/s^2", "g".
         start, end: interval to keep, s since the first row.
-        stamps: "header" (of the sensor) or "log" (of the recorder; MCAP only).
+        stamps: "header" (of the sensor) or "log" (of the recorder; MCAP, bags, .tlog).
         channels: names of other data to read; None for all (MCAP, text) or the usual ones (other formats).
         gyroscope_axes: the gyroscope's axes along the magnetometer's x, y, z, if the two differ, such as "y,-x,z".
         progress: called with the fraction done, 0 to 1.

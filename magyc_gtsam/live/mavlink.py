@@ -18,19 +18,26 @@ import numpy as np
 from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
+from magyc_gtsam.io.mavlink_samples import (
+    FILTERED,
+    MESSAGES,
+    Sender,
+    note_of_senders,
+    sender_of,
+    stamp_of,
+    values_of,
+)
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.io.tlog import FILTERED, MESSAGES
 from magyc_gtsam.live.arrival import ArrivalClock
 from magyc_gtsam.live.source import SENSORS, NewSamples, samples_of
 
 BAUD = 57600
 ADDRESS = re.compile(r"(?:udp|udpin|udpout|tcp|tcpin):[\w.-]*:\d{1,5}|/dev/[\w./-]+|COM\d{1,3}")
-_UPDATED = {"magnetic_field": 0x1C0, "angular_rate": 0x38}  # bits of HIGHRES_IMU.fields_updated
 _LISTEN = 1.0  # s during which messages are collected before one kind is chosen
 _TIMESYNC_PERIOD = 1.0  # s
 _LARGEST_BATCH = 2000  # messages
 
-_Stream = tuple[int, str, int]  # system, message, instance
+_Stream = tuple[Sender, str]  # and the message
 
 
 @dataclass(frozen=True)
@@ -43,7 +50,7 @@ class _Row:
 
 
 class MavlinkSource:
-    """Samples from a MAVLink connection; a `LiveSource`. It follows one message of one vehicle.
+    """Samples from a MAVLink connection; a `LiveSource`. It follows one message of one sender.
 
     Args:
         address: udpin:HOST:PORT, udpout:…, tcp:…, tcpin:…, or a serial port.
@@ -145,20 +152,14 @@ class MavlinkSource:
             self.round_trip = round_trip if 0 <= round_trip < 60 else self.round_trip
         if kind not in MESSAGES or (self._wanted is not None and kind != self._wanted):
             return
-        stream = (message.get_srcSystem(), kind, getattr(message, "id", 0))
+        stream = (sender_of(message), kind)
         if self._chosen not in (None, stream):
             return
-        name, nanoseconds, sensors = MESSAGES[kind]
-        updated = getattr(message, "fields_updated", 0)
-        values = {}
-        for sensor in SENSORS:
-            fields, unit = sensors[sensor]
-            numbers = [getattr(message, field) for field in fields]
-            measured = not updated or updated & _UPDATED[sensor] == _UPDATED[sensor]
-            if measured and (sensor != "magnetic_field" or any(numbers)):
-                scale = self._request.scale(sensor, unit)
-                values[sensor] = [number * scale for number in numbers]
-        row = _Row(getattr(message, name) * nanoseconds / 1e9, self._arrival.now(), values)
+        values = {
+            sensor: [number * self._request.scale(sensor, MESSAGES[kind][2][sensor][1]) for number in numbers]
+            for sensor, numbers in values_of(message).items()
+        }
+        row = _Row(stamp_of(message) / 1e9, self._arrival.now(), values)
         if self._chosen is not None:
             rows.append(row)
             return
@@ -178,15 +179,14 @@ class MavlinkSource:
         if not complete:
             self._heard = {stream: rows[-100:] for stream, rows in self._heard.items()}
             return []
-        self._chosen = min(complete, key=lambda stream: (order.index(stream[1]), stream[0], stream[2]))
+        self._chosen = min(complete, key=lambda stream: (order.index(stream[1]), stream[0]))
         rows, self._heard = self._heard[self._chosen], {}
         self._by_arrival = len(rows) > 1 and all(row.stamp == rows[0].stamp for row in rows)
-        others = sorted({system for system, _, _ in complete} - {self._chosen[0]})
         self.notes.append(FILTERED)
         if self._by_arrival:
             self.notes.append(f"{self.name}: {self._chosen[1]} has no stamps; times of arrival are used instead")
-        if others:
-            self.notes.append(f"{self.name}: vehicle {self._chosen[0]} is read; vehicles {others} are ignored")
+        senders = note_of_senders(self._chosen[0], (sender for sender, _ in complete))
+        self.notes += [f"{self.name}: {note}" for note in senders]
         return rows
 
     def _batch(self, rows: list[_Row]) -> NewSamples:
