@@ -24,6 +24,7 @@ from served import DIVE, PATIENCE, Served
 
 import magyc_gtsam as mg
 from magyc_gtsam.serve.limits import Limits
+from magyc_gtsam.serve.store import Store, safe_name
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import fuzz_files
@@ -207,6 +208,7 @@ def test_a_foreign_name_that_points_here(served: Served) -> None:
         ({"kind": "calibrate", "logs": ["x"] * 300}, "1 to"),
         ({"kind": "calibrate", "logs": ["{log}"], "start": "0; rm"}, "start"),
         ({"kind": "calibrate", "logs": ["{log}"], "start": float("nan")}, "start"),
+        ({"kind": "calibrate", "logs": ["{log}"], "start": 10**400}, "start"),
         ({"kind": "calibrate", "logs": ["{log}"], "reading": {"output": "/tmp/x"}}, "reading"),
         ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_unit": "--force"}}, "is unknown"),
         ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_field": "a\n--force"}}, "printable text"),
@@ -219,6 +221,49 @@ def test_orders_that_mean_nothing(served: Served, asked: Any, says: str) -> None
     assert says in answer["problem"]
     assert served.ask("POST", "/api/jobs", b"{" * 5000)[0] == 400
     assert served.ask("POST", "/api/jobs", b"[" * 100_000)[0] == 413
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("飛行.mcap", "log.mcap"),
+        ("Übung 1.CSV", "bung_1.CSV"),
+        ("..", "log"),
+        ("a/b\\-.csv", "log.csv"),
+        ("x" * 200 + ".ulg", "x" * 80 + ".ulg"),
+    ],
+)
+def test_names_keep_their_suffix(name: str, kept: str) -> None:
+    assert safe_name(name) == kept
+
+
+def test_what_is_removed_while_it_is_listed_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by another request, or by hand: the list was made, and what it names is gone."""
+    for name in (
+        "a.mcap",
+        "b.mcap",
+        ".magyc-gtsam-uploads/1/c.mcap",
+        "results/r/live.json",
+        "results/s/live.json",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("{}")
+    store = Store(tmp_path, Limits())
+    folders = store.result_folders()
+    assert {each.name for each in store.logs().values()} == {"a.mcap", "b.mcap", "c.mcap"}
+    assert set(folders) == {"r", "s"}
+    listed = Path.iterdir
+
+    def racing(folder: Path) -> Iterator[Path]:
+        for path in list(listed(folder)):
+            if path.name in ("b.mcap", "1", "r"):
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            yield path
+
+    monkeypatch.setattr(Path, "iterdir", racing)
+    assert {each.name for each in store.logs().values()} == {"a.mcap"}
+    assert set(store.result_folders()) == {"s"}
+    assert store.described(folders["r"]) == {}
 
 
 def test_uploads_that_are_too_large(served: Served) -> None:

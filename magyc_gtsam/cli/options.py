@@ -190,7 +190,7 @@ Start = Annotated[
 End = Annotated[float | None, typer.Option(metavar="SECONDS", help="Use the log up to this time.")]
 Stamps = Annotated[
     Literal["header", "log"],
-    typer.Option(help="Use the time stamps of the messages, or those of the recorder (MCAP)."),
+    typer.Option(help="Use the time stamps of the messages, or those of the recorder (MCAP, bags, .tlog)."),
 ]
 AngularRateIs = Annotated[
     Literal["instant", "interval-mean"] | None,

@@ -87,7 +87,7 @@ class Server:
         """Return the state that the page starts from."""
         logs = await run_in_threadpool(self.store.logs)
         folders = await run_in_threadpool(self.store.result_folders)
-        results = [self.store.described(folder) for folder in folders.values()]
+        results = [found for folder in folders.values() if (found := self.store.described(folder))]
         state = {
             "version": __version__,
             "folder": self.store.folder.name,

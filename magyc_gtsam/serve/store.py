@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import secrets
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
@@ -60,10 +62,23 @@ class StoredLog:
 
 def safe_name(name: str) -> str:
     """Return a file name that resembles `name` and has only letters, digits, `.`, `_` and `-`."""
-    last = re.split(r"[/\\]", name)[-1]
-    kept = re.sub(r"[^A-Za-z0-9._-]+", "_", last).lstrip("._-")
-    stem, dot, suffix = kept.rpartition(".")
-    return (f"{stem[:80]}.{suffix[:10]}" if dot and stem else kept[:80]) or "log"
+    last = Path(re.split(r"[/\\]", name)[-1])
+    stem = _plain(last.stem).lstrip("._-")[:80] or "log"
+    return stem + _plain(last.suffix)[:11]
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", text)
+
+
+def _inside(folder: Path) -> list[tuple[Path, os.stat_result]]:
+    """Return what a folder holds, each with its state; nothing of what is removed meanwhile, the folder included."""
+    found = []
+    with suppress(FileNotFoundError, NotADirectoryError):
+        for path in folder.iterdir():
+            with suppress(OSError):  # removed since it was listed, or a link that leads nowhere
+                found.append((path, path.stat()))
+    return found
 
 
 class Store:
@@ -87,28 +102,23 @@ class Store:
         return {log.key: log for log in (*self._uploaded(), *self._in_folder())}
 
     def _in_folder(self) -> list[StoredLog]:
-        paths = sorted(
-            p for p in self.folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")
+        files = sorted(
+            (path, state.st_size)
+            for path, state in _inside(self.folder)
+            if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and S_ISREG(state.st_mode)
         )
         return [
-            StoredLog(
-                f"f{hashlib.sha256(path.name.encode()).hexdigest()[:16]}",
-                path.name,
-                path,
-                path.stat().st_size,
-                False,
-            )
-            for path in paths[:_MOST_LISTED]
-            if path.is_file()
+            StoredLog(f"f{hashlib.sha256(path.name.encode()).hexdigest()[:16]}", path.name, path, size, False)
+            for path, size in files[:_MOST_LISTED]
         ]
 
     def _uploaded(self) -> list[StoredLog]:
-        if not self._uploads.is_dir():
-            return []
         logs: list[StoredLog] = []
-        for place in sorted(self._uploads.iterdir(), key=lambda p: -p.stat().st_mtime):
-            files = [] if place in self._arriving else [f for f in place.iterdir() if f.is_file()]
-            logs += [StoredLog(f"u{place.name}", file.name, file, file.stat().st_size, True) for file in files[:1]]
+        for place, _ in sorted(_inside(self._uploads), key=lambda found: -found[1].st_mtime):
+            files = [] if place in self._arriving else [f for f in _inside(place) if S_ISREG(f[1].st_mode)]
+            logs += [
+                StoredLog(f"u{place.name}", file.name, file, state.st_size, True) for file, state in files[:1]
+            ]
         return logs
 
     @contextmanager
@@ -153,8 +163,8 @@ class Store:
     def remove_old(self, age: float | None = None) -> None:
         """Remove uploads older than `age` s (default: the limit), complete or not."""
         limit = time.time() - (self._limits.upload_age if age is None else age)
-        for place in self._uploads.iterdir() if self._uploads.is_dir() else ():
-            if place not in self._arriving and place.stat().st_mtime <= limit:
+        for place, state in _inside(self._uploads):
+            if place not in self._arriving and state.st_mtime <= limit:
                 shutil.rmtree(place, ignore_errors=True)
         if self._uploads.is_dir() and not any(self._uploads.iterdir()):
             self._uploads.rmdir()
@@ -181,11 +191,10 @@ class Store:
 
     def result_folders(self) -> dict[str, Path]:
         """Return {key: folder} of all results, the latest first."""
-        if not self.results.is_dir():
-            return {}
-        folders = [p for p in self.results.iterdir() if p.is_dir() and not p.name.startswith(".")]
-        folders = [p for p in folders if any((p / name).exists() for name in (*_KINDS, _LIVE, RECORD))]
-        return {p.name: p for p in sorted(folders, key=lambda p: -p.stat().st_mtime)[:_MOST_LISTED]}
+        folders = sorted(_inside(self.results), key=lambda found: -found[1].st_mtime)
+        visible = (path for path, _ in folders if not path.name.startswith("."))
+        written = [p for p in visible if any((p / name).exists() for name in (*_KINDS, _LIVE, RECORD))]
+        return {p.name: p for p in written[:_MOST_LISTED]}
 
     def record(self, folder: Path) -> dict[str, Any]:
         """Return the server's record of a result; {} for a result of the command line, which has none."""
@@ -196,13 +205,17 @@ class Store:
         return record if isinstance(record, dict) else {}
 
     def described(self, folder: Path) -> dict[str, Any]:
-        """Return the record of a result as JSON types, without reading its numbers."""
+        """Return the record of a result as JSON types, without reading its numbers; {} if it was removed."""
+        try:
+            changed = folder.stat().st_mtime
+        except FileNotFoundError:
+            return {}
         kind = next((kind for name, kind in _KINDS.items() if (folder / name).exists()), "live")
         record = self.record(folder)
         return {
             "key": folder.name,
             "kind": kind,
-            "time": folder.stat().st_mtime,
+            "time": changed,
             "page": (folder / "report.html").exists(),
             **{name: record.get(name) for name in ("logs", "sentence", "trusted", "interval")},
         }
