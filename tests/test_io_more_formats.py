@@ -111,6 +111,30 @@ def test_a_record_of_an_impossible_length(bags: dict[str, Path], tmp_path: Path)
     np.testing.assert_array_equal(back.magnetic_field, FIELD[: len(back.time)])
 
 
+def test_bags_that_rosbag2_compressed(bags: dict[str, Path], tmp_path: Path) -> None:
+    """Message by message they are read; as a whole file the error names what unpacks it."""
+    zstandard = pytest.importorskip("zstandard")
+    bag = tmp_path / "b.db3"
+    bag.write_bytes(bags["db3"].read_bytes())
+    (tmp_path / "b.db3.zstd").write_bytes(zstandard.compress(bag.read_bytes()))
+    with pytest.raises(MagycError, match=r"whole file; unpack it first \(zstd -d b\.db3\.zstd -o b\.db3\)"):
+        read(tmp_path / "b.db3.zstd")
+    with contextlib.closing(sqlite3.connect(bag)) as base, base:
+        for number, data in base.execute("SELECT id, data FROM messages").fetchall():
+            base.execute("UPDATE messages SET data = ? WHERE id = ?", (zstandard.compress(data), number))
+    np.testing.assert_array_equal(read(bag).magnetic_field, FIELD)
+    with contextlib.closing(sqlite3.connect(bag)) as base, base:
+        base.execute("UPDATE messages SET data = substr(data, 1, 40) WHERE id = ?", (2 * N,))
+    damaged = read(bag)
+    assert any(f"1 of {2 * N} messages are damaged" in note for note in damaged.notes)
+    np.testing.assert_array_equal(damaged.magnetic_field, FIELD[: len(damaged.time)])
+    with contextlib.closing(sqlite3.connect(bag)) as base, base:
+        bomb = zstandard.compress(bytes(1 << 24))
+        base.execute("UPDATE messages SET data = ? WHERE id <= 10", (bomb,))
+    with pytest.raises(MagycError, match="unpacks to more than 100 times"):
+        read(bag)
+
+
 def test_a_database_that_is_no_bag(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.execute("CREATE TABLE other (id INTEGER)")

@@ -34,6 +34,7 @@ _MAGIC = {
     b"\xa3\x95": "ardupilot",
     b"#ROSBAG V2.0": "ros_bag",
     b"SQLite format 3\0": "ros_bag",
+    b"\x28\xb5\x2f\xfd": "ros_bag",  # zstd, in which rosbag2 can pack the whole file
     b"PK\x03\x04": "phone_archive",
     b"H Product:Blackbox": "blackbox",
 }
@@ -44,6 +45,7 @@ SUFFIXES = {  # of the logs that folders are searched for
     ".bin": "ardupilot",
     ".bag": "ros_bag",
     ".db3": "ros_bag",
+    ".zstd": "ros_bag",
     ".zip": "phone_archive",
     ".tlog": "tlog",
     ".bbl": "blackbox",

@@ -27,6 +27,7 @@ _BLOCK = 4096  # messages
 _LARGEST = 1 << 24  # bytes of a message
 _KEPT = 1 << 26  # bytes of unpacked chunks of ROS 1; a chunk usually has 768 kB
 SQLITE = b"SQLite format 3\0"
+_ZSTD = b"\x28\xb5\x2f\xfd"  # how a packed file or message begins; no message begins so unpacked
 
 
 def read(path: Path, request: Request) -> Recording:
@@ -47,9 +48,13 @@ def info(path: Path) -> LogInfo:
 def _load(path: Path, request: Request, wanted: Callable[[str, str], bool]) -> RosLog:
     """Load the topics of a bag; see `ros_log.Load`."""
     with open(path, "rb") as file:
-        sqlite = file.read(len(SQLITE)) == SQLITE
+        head = file.read(len(SQLITE))
+    if head.startswith(_ZSTD):
+        raise MagycError(
+            f"{path}: rosbag2 compressed the whole file; unpack it first (zstd -d {path.name} -o {path.stem})"
+        )
     notes: list[str] = []
-    source = _sqlite(path, notes, request.report) if sqlite else _ros1(path, notes, request.report)
+    source = _sqlite(path, notes, request.report) if head == SQLITE else _ros1(path, notes, request.report)
     return collected(path, source, request, wanted, notes, {})
 
 
@@ -73,17 +78,40 @@ def _sqlite(path: Path, notes: list[str], report: Callable[[float], None]) -> It
                 yield Channel(number, str(name), str(encoding), {}, number)
             (count,) = base.execute("SELECT COUNT(*) FROM messages").fetchone()
             place = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
-            done = 0
+            done, damaged, take = 0, 0, allowance(path)
             for rows in _in_blocks(place):
-                whole = [r for r in rows if isinstance(r[2], bytes) and 0 < len(r[2]) <= _LARGEST]
-                yield from _blocks([(int(t), int(at), data) for t, at, data in whole])
+                whole = []
+                for topic, at, data in rows:
+                    if isinstance(data, bytes) and 0 < len(data) <= _LARGEST:
+                        try:
+                            whole.append((int(topic), int(at), _unpacked(data, take)))
+                        except Damage:
+                            damaged += 1
+                yield from _blocks(whole)
                 done += len(rows)
                 report(done / max(count, 1))
+            if damaged:
+                notes.append(f"{damaged} of {done} messages are damaged and were left out")
     except MemoryError:  # how sqlite3 reports a record whose length cannot be; nothing of that size was asked for
         notes.append("the bag is damaged (a record of an impossible length)")
     except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:
+        if isinstance(error, MagycError):
+            raise
         notes.append(f"the bag is damaged ({shortened(error)})")
     report(1.0)
+
+
+def _unpacked(data: bytes, take: Callable[[int], None]) -> bytes:
+    """Return a message as it was before rosbag2 compressed it, if it did.
+
+    Raises:
+        MagycError: `Damage` if it cannot be unpacked; otherwise the bag unpacks to too much.
+    """
+    if not data.startswith(_ZSTD):
+        return data
+    result = decompressed(data, "zstd", _LARGEST, 0)
+    take(len(result))
+    return result
 
 
 def _in_blocks(place: Iterator[Any]) -> Iterator[list[Any]]:
