@@ -222,6 +222,13 @@ def test_a_state_that_holds_all_of_the_file(
     same(tmp_path / "online-calibration.yaml", expected)
 
 
+def test_units_that_disagree_are_wrong_input(log: Path, inside: Callable[..., tuple[int, str]]) -> None:
+    """As a field beyond every limit is, and as `calibrate` has it; not a calibration that lacks motion."""
+    code, errors = inside(log, "--angular-unit", "deg/s", "--quiet")
+    assert "read it in its unit (--angular-unit 'rad/s')" in errors
+    assert code == 2
+
+
 def test_stamps_before_the_saved_state_are_told_in_every_report(simulation: mg.Simulation, tmp_path: Path) -> None:
     """A sensor that was switched off counts from 0 again."""
     lines, at = json_lines(simulation.recording), simulate("wide", duration=20, rate=20, seed=2).recording

@@ -252,6 +252,8 @@ def test_an_autopilot_without_a_clock_and_how_long_a_message_takes() -> None:
     sender = threading.Thread(target=send)
     sender.start()
     try:
+        source.read(5.0)
+        assert "heard so far: RAW_IMU" in source.waiting_for  # also of an autopilot that sends no HEARTBEAT
         batch = read_until(source, 100)
     finally:
         stop.set()

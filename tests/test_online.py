@@ -160,6 +160,7 @@ def test_axes_that_disagree_are_named_as_in_the_batch(axes, given, option):
     online.update(recording.time, recording.magnetic_field, rate)
     assert online.calibration is None
     assert f"gyroscope_axes='{option}'" in online.progress.sentence
+    assert online.progress.disagree
 
 
 def test_a_late_sensor_and_holes():

@@ -92,7 +92,8 @@ def run(
 
     Stops at the end of the file or input, after --idle seconds without new data, or with Ctrl-C. The calibration is
     written at the end and with every report. Exit code 0: converged; 1: the result must not be trusted yet, or no
-    sample of this run was used, and the reason is printed; 130: interrupted before a first result.
+    sample of this run was used, and the reason is printed; 2: the input cannot be used, as where the axes or units of
+    the sensors disagree; 130: interrupted before a first result.
     """
     from magyc_gtsam.cli.known import beforehand
     from magyc_gtsam.cli.online_feed import Feed

@@ -65,7 +65,8 @@ class QuietView:
         """Show the result and return the exit code.
 
         It is 0 if the calibration converged, 1 if not or if no sample of this run was used, 2 if a file could not be
-        written or a topic is missing, 130 after an interrupt before a first result.
+        written, a topic is missing, or the axes or units of the sensors disagree, 130 after an interrupt before a
+        first result.
         """
         if self._notes > _NOTES:
             self.complain(f"{self._notes - _NOTES} more notes like these")
@@ -101,8 +102,9 @@ class QuietView:
         if self.source.waiting_for:
             complain(f"{self.source.name}: {self.source.waiting_for}")
             return 2
-        self.complain(f"no calibration: {self.online.progress.sentence}")
-        return 1
+        progress = self.online.progress
+        self.complain(f"no calibration: {progress.sentence}")
+        return 2 if progress.disagree else 1
 
     def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:
         """Show the result, and return whether it is on standard output."""

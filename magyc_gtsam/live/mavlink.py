@@ -88,6 +88,7 @@ class MavlinkSource:
         except Exception as error:  # sockets, serial ports and pymavlink raise no common class
             raise MagycError(f"{self.name}: cannot be opened ({shortened(error)})") from error
         self._bad = 0
+        self._kinds: set[str] = set()  # of all messages
         self._heard: dict[_Stream, list[_Row]] = {}  # before one stream is chosen
         self._since: float | None = None
         self._chosen: _Stream | None = None
@@ -104,7 +105,7 @@ class MavlinkSource:
         """The messages that are awaited and those that came instead; see `LiveSource`."""
         if self._chosen is not None:
             return ""
-        listed = ", ".join(sorted(self._link.messages.keys() - {"HOME", "MAV"})) or "nothing"
+        listed = ", ".join(sorted(self._kinds)) or "nothing"
         return f"none of {self._wanted or ', '.join(MESSAGES)} with both sensors yet; heard so far: {listed[:200]}"
 
     def read(self, wait: float = 0.0) -> NewSamples:
@@ -146,6 +147,7 @@ class MavlinkSource:
         if kind == "BAD_DATA":
             self._bad += 1
             return
+        self._kinds.add(kind)
         self.received += len(message.get_msgbuf())
         if kind == "TIMESYNC" and message.tc1 > 0:
             round_trip = (time.monotonic_ns() - message.ts1) / 1e9

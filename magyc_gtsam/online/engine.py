@@ -34,6 +34,7 @@ class Progress:
         clipped: rotations beyond the gyroscope's full scale so far; windows are not linked across them.
         clipped_field: fields beyond the magnetometer's full scale so far, if there are enough to do harm; the samples
             are used, and the estimate is not converged.
+        disagree: whether there is no calibration because the axes or units of the sensors disagree.
     """
 
     time: float | None
@@ -47,6 +48,7 @@ class Progress:
     stuck: tuple[Stuck, ...] = ()
     clipped: Clipped | None = None
     clipped_field: ClippedField | None = None
+    disagree: bool = False
 
 
 @dataclass(frozen=True, eq=False)

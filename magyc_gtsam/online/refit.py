@@ -124,7 +124,7 @@ def refit(online: SmootherState) -> None:
         return
     later = search and settings.detect_changes and count >= LEAST_STABLE
     recording = online.recording(belief.done)
-    belief.problem = nothing_turned(recording) if belief.estimate is None else ""
+    belief.problem, belief.disagree = nothing_turned(recording) if belief.estimate is None else "", False
     if belief.problem:
         return
     try:
@@ -200,6 +200,7 @@ def _give_up(online: SmootherState, problem: MagycError) -> None:
     """Report axes that disagree, or too little motion; the next refit tries again with more data."""
     belief = online.belief
     belief.problem, belief.head, belief.estimate, belief.stable = str(problem), None, None, False
+    belief.disagree = isinstance(problem, axes.SensorsDisagree)
     belief.report = None  # of a fit that the problem contradicts
 
 

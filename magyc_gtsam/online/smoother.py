@@ -229,7 +229,7 @@ class OnlineSmoother:
             sentence = f"the estimate still changes: {weak[0].sentence if weak else 'keep turning'}"
         else:
             sentence = "converged"
-        return Progress(None, 0.0, windows, converged, sentence, weak)
+        return Progress(None, 0.0, windows, converged, sentence, weak, disagree=belief.disagree)
 
     def field(self) -> Array:
         """See `Engine.field`."""

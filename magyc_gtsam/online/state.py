@@ -136,13 +136,12 @@ class Belief:
         origin: (4,) bias and delay at which the gyroscope was integrated in the last refit.
         refitted: θ and its sigmas (2, p) at the last refit.
         report: the calibration of the last refit.
-        settled: whether the head joins the past as it grows.
-        stable: whether the estimate has converged.
+        settled, stable: whether the head joins the past as it grows; whether the estimate has converged.
         undecided: whether the tail may contain a step.
         waiting: whether a refit waits for its decision, because the step would be large.
         misfit_from: number of the first window of a tail of which most windows did not fit; None if they do.
         next_restart: windows since then at which they are fitted by themselves.
-        problem: why there is no estimate; "" if there is one.
+        problem, disagree: why there is no estimate, or ""; whether it is axes or units in which the sensors disagree.
         doubt: why the last refit rejected a misalignment that the data suggest.
         contradictions: of the earlier calibration by the data, at the last refit.
         unexplained: model error at the last refit; None before, and if parameters walk.
@@ -171,6 +170,7 @@ class Belief:
     misfit_from: int | None = None
     next_restart: int = LEAST_RESTARTED
     problem: str = ""
+    disagree: bool = False
     doubt: str = ""
     contradictions: list[str] = field(default_factory=list)
     unexplained: ModelError | None = None

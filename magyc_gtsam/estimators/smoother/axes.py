@@ -36,6 +36,10 @@ _MATRICES = np.array(
 _SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s": 180 / np.pi}
 
 
+class SensorsDisagree(MagycError):
+    """Error of axes or units in which the two sensors disagree; more data do not mend it."""
+
+
 class Arrangement(NamedTuple):
     """An arrangement of the gyroscope's axes: ω = matrix · (angular_rate of the log).
 
@@ -113,7 +117,7 @@ def check(recording: Recording) -> None:
     """Compare the arrangements; with too few samples, or two almost equally good arrangements, nothing is decided.
 
     Raises:
-        MagycError: an arrangement other than the given one explains the field's variation clearly better.
+        SensorsDisagree: an arrangement other than the given one explains the field's variation clearly better.
     """
     if len(recording.magnetometer.time) < _LEAST_SAMPLES:
         return
@@ -127,7 +131,7 @@ def check(recording: Recording) -> None:
         return
     as_given, otherwise = f"{max(1 - given.unexplained, 0):.0%}", f"{1 - best.unexplained:.0%}"
     if best.unit:
-        raise MagycError(
+        raise SensorsDisagree(
             f"angular_rate: as given it explains {as_given} of the field's changes, read as {best.unit} "
             f"{otherwise}; convert it, or read it in its unit (angular_unit='{best.unit}')"
         )
@@ -135,7 +139,7 @@ def check(recording: Recording) -> None:
     remedy = (
         f"bring both to one frame (gyroscope_axes='{own}')" if own != OWN_AXES else "leave out gyroscope_axes="
     )
-    raise MagycError(
+    raise SensorsDisagree(
         f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains {as_given} of the "
         f"field's changes, with {axes_words(own)} {otherwise}; {remedy}"
     )
