@@ -69,7 +69,7 @@ class Prepared:
             ("gyroscope",),
         )
         if truncated:
-            left_out += [one.sentence for one in truncated]
+            left_out += [one.error for one in truncated]
             base = base_model(recording, calibration, short_term)
         return cls(usable, recording, left_out, discrete, short_term, base)
 

@@ -44,11 +44,19 @@ class Truncated:
     @property
     def sentence(self) -> str:
         """The finding, and what follows from it for readings to which the calibration is applied."""
-        shown = f"{self.step * 1e6:.2g} µT" if self.sensor == "magnetometer" else f"{self.step * 1e3:.2g} mrad/s"
         return (
-            f"the {self.sensor}'s readings are truncated towards zero, in steps of {shown}: calibrated as if half a "
-            "step were added to positive ones and subtracted from negative ones"
+            f"the {self.sensor}'s readings are truncated towards zero, in steps of {self._shown}: calibrated as if "
+            "half a step were added to positive ones and subtracted from negative ones"
         )
+
+    @property
+    def error(self) -> str:
+        """What was taken out of the readings."""
+        return f"the truncation towards zero of the {self.sensor}'s readings, in steps of {self._shown}"
+
+    @property
+    def _shown(self) -> str:
+        return f"{self.step * 1e6:.2g} µT" if self.sensor == "magnetometer" else f"{self.step * 1e3:.2g} mrad/s"
 
 
 def without_truncation(
