@@ -17,7 +17,9 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.export import TARGETS, export
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.px4_calibration import mounting
 from magyc_gtsam.recording import Array
+from magyc_gtsam.recording.autopilot import Autopilot, Place
 from magyc_gtsam.recording.axes import axes_text, parse_axes
 from magyc_gtsam.study.known import skewed
 
@@ -252,6 +254,28 @@ def test_terms_are_exported_where_the_target_has_them(terms: tuple[Term, ...]) -
         expected = calibration.apply(FIELD, time=np.arange(40.0), channels=CHANNELS)
     by_ardupilot, _ = ardupilot(text, FIELD, RATE, CURRENT)
     np.testing.assert_allclose(by_ardupilot, expected, atol=2e-11)
+
+
+@pytest.mark.parametrize("terms", [(), (WARM, MOTOR), (WARM, MOTOR, MOUNTING)])
+def test_a_log_of_px4_gives_parameters_in_the_axes_of_each_sensor(terms: tuple[Term, ...]) -> None:
+    """PX4 corrects before it turns; the values in the vehicle's axes were off by up to the whole hard iron."""
+    own, gyroscope = mounting(6), mounting(38)
+    autopilot = Autopilot("px4", Place(axes=own.tolist()), Place(axes=gyroscope.tolist()))
+    known = Calibration(SOFT_IRON, HARD_IRON, GYRO_BIAS, terms=terms)
+    calibration = replace(known, configuration={"autopilot": autopilot.to_dict()})
+    text = calibration.export("px4")
+    field, rate = px4(text, FIELD @ own, RATE @ gyroscope, CURRENT, TEMPERATURE)
+    turned_by_px4 = np.eye(3) if MOUNTING in terms else own  # CAL_MAG0_ROT stays, or is in the file
+    expected = calibration.apply(FIELD, time=np.arange(40.0), channels=CHANNELS)
+    np.testing.assert_allclose(field @ turned_by_px4.T, expected, atol=3e-11)
+    np.testing.assert_allclose(rate @ gyroscope.T, calibration.apply_gyroscope(RATE), atol=3e-8)
+    assert calibration.export("ros") == known.export("ros")
+    with pytest.raises(MagycError, match="the log is of PX4, and does not say which of ArduPilot's"):
+        calibration.export("ardupilot")
+    damaged = {"firmware": "px4", "magnetometer": {"axes": [[1, 0, 0]]}, "gyroscope": {}}
+    for wrong in (damaged, {"firmware": "px4"}, "px4"):
+        with pytest.raises(MagycError, match="autopilot: "):
+            replace(calibration, configuration={"autopilot": wrong}).export("px4")
 
 
 def test_a_gyroscope_that_warms_up_is_exported_where_the_target_has_it() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import magyc_gtsam as mg
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.ardupilot_compass import undo
@@ -197,6 +199,47 @@ def flight() -> list[tuple[str, tuple]]:
         messages.append(("MAG", (at, 0, *m, 0, 0, 0, 0, 0, 0, 1, at)))
         messages.append(("IMU", (at, 0, 0.1 * k, 0.0, 0.0, 0.0, 0.0, -9.8)))
     return messages
+
+
+# Of each compass of the log, by priority: iron beside the vehicle's in milligauss, and offset in flight.
+BESIDE, IN_FLIGHT = ((0, 0, 0), (100, -200, 50)), ((-30, 50, 20), (100, 0, -70))
+DRIVERS = ("2", "")  # of its parameters
+
+
+def vehicle(path: Path, simulation: mg.Simulation) -> Path:
+    """A log of two compasses, the second of which has the first driver."""
+    parameters = {"COMPASS_PMOT_EN": 0, "COMPASS_DEV_ID": 5, "COMPASS_DEV_ID2": 9}
+    parameters |= {"COMPASS_PRIO1_ID": 9, "COMPASS_PRIO2_ID": 5}
+    for driver, offset in zip(DRIVERS, IN_FLIGHT, strict=True):
+        parameters |= {f"COMPASS_OFS{driver}_{a}": o for a, o in zip("XYZ", offset, strict=True)}
+    messages: list[tuple[str, tuple]] = [("PARM", (0, name, float(value))) for name, value in parameters.items()]
+    recording = simulation.recording
+    for t, m, w in zip(recording.time, recording.magnetic_field * 1e7, recording.angular_rate, strict=True):
+        at = 1_000_000 + round(t * 1e6)
+        for k, (beside, offset) in enumerate(zip(BESIDE, IN_FLIGHT, strict=True)):
+            logged = np.rint(m + beside + offset).astype(int)
+            messages.append(("MAG", (at, k, *logged, *offset, 0, 0, 0, 1, at)))
+        messages += [("IMU", (at, k, *(w + 0.1 * k), 0.0, 0.0, -9.8)) for k in range(2)]
+    return dataflash(path, messages)
+
+
+@pytest.mark.parametrize("compass", range(2))
+def test_exported_parameters_correct_the_compass_of_their_driver(tmp_path: Path, compass: int) -> None:
+    """The first compass's parameters were written for every compass."""
+    pytest.importorskip("pymavlink")
+    simulation = mg.simulate("wide", 60, rate=20, seed=3)
+    path, driver = vehicle(tmp_path / "a.BIN", simulation), DRIVERS[compass]
+    back = read(path, magnetic_field=f"MAG[{compass}]", angular_rate=f"IMU[{compass}]")
+    text = mg.calibrate(back).export("ardupilot")
+    rows = {name: float(value) for name, value in re.findall(r"^(\w+),(.*)$", text, re.MULTILINE)}
+    assert {n for n in rows if "_OFS" in n} == {f"COMPASS_OFS{driver}_{a}" for a in "XYZ"}
+    raw = simulation.recording.magnetic_field * 1e7 + BESIDE[compass]
+    vectors = [[rows[f"COMPASS_{name}{driver}_{a}"] for a in "XYZ"] for name in ("OFS", "DIA", "ODI")]
+    offset, (dx, dy, dz), (xy, xz, yz) = vectors
+    field = (raw + offset) @ np.array([[dx, xy, xz], [xy, dy, yz], [xz, yz, dz]])
+    assert np.linalg.norm(field, axis=1).std() < 0.3 * np.linalg.norm(raw, axis=1).std()
+    own = "INS_GYR2OFFS" if compass else "INS_GYROFFS"
+    assert {n for n in rows if "GYR" in n} == {f"{own}_{a}" for a in "XYZ"}
 
 
 OLD_NAMES = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import magyc_gtsam as mg
+from magyc_gtsam.cli import main
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.history import History
+from magyc_gtsam.history.log_factor import factor_of
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.px4_calibration import Parameters, mounting, undo
 
@@ -32,19 +38,19 @@ def correct(raw: np.ndarray, rotation: np.ndarray = YAW_270) -> np.ndarray:
 
 
 def test_undone_is_raw_in_the_vehicles_frame() -> None:
-    value, notes = undo("MAG", correct(RAW), STAMP, Parameters(MAG), 77, corrected=True, rotated=True)
+    value, notes, _ = undo("MAG", correct(RAW), STAMP, Parameters(MAG), 77, corrected=True, rotated=True)
     np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
     assert any("CAL_MAG0_* was applied in flight and is undone" in n for n in notes)
 
 
 def test_uncorrected_message_is_only_rotated() -> None:
-    value, _ = undo("MAG", RAW, STAMP, Parameters(MAG), 77, corrected=False, rotated=False)
+    value, _, _ = undo("MAG", RAW, STAMP, Parameters(MAG), 77, corrected=False, rotated=False)
     np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
 
 
 def test_corrected_by_the_driver_and_not_yet_rotated() -> None:
     logged = correct(RAW, np.eye(3))
-    value, _ = undo("MAG", logged, STAMP, Parameters(MAG), 77, corrected=True, rotated=False)
+    value, _, _ = undo("MAG", logged, STAMP, Parameters(MAG), 77, corrected=True, rotated=False)
     np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
 
 
@@ -56,7 +62,7 @@ def test_board_rotation_of_an_internal_sensor() -> None:
         "SENS_BOARD_Z_OFF": -3.0,
     }
     board = Rotation.from_euler("xyz", [2.0, 0.0, -3.0], degrees=True).as_matrix() @ np.diag([1.0, -1.0, -1.0])
-    value, _ = undo("MAG", correct(RAW, board), STAMP, Parameters(parameters), 77, corrected=True, rotated=True)
+    value, _, _ = undo("MAG", correct(RAW, board), STAMP, Parameters(parameters), 77, corrected=True, rotated=True)
     np.testing.assert_allclose(value, RAW @ board.T, atol=1e-12)
 
 
@@ -65,7 +71,7 @@ def test_parameters_that_change_in_the_log() -> None:
     logged = correct(RAW)
     logged[15:] = np.array([YAW_270 @ (SCALE @ (m - OFFSET - [0.3, 0, 0])) for m in RAW[15:]])
     parameters = Parameters(MAG, ((middle, "CAL_MAG0_XOFF", 0.4),))
-    value, notes = undo("MAG", logged, STAMP, parameters, 77, corrected=True, rotated=True)
+    value, notes, _ = undo("MAG", logged, STAMP, parameters, 77, corrected=True, rotated=True)
     np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
     assert any("changed within the log" in n for n in notes)
 
@@ -115,6 +121,128 @@ def test_mountings_agree_with_mavlink() -> None:
         np.testing.assert_allclose(
             mounting(number), Rotation.from_euler("ZYX", angles, degrees=True).as_matrix(), atol=1e-12
         )
+
+
+SENSOR = {"timestamp": "Q", "device_id": "I", "x": "f", "y": "f", "z": "f"}
+TYPES = {"Q": "uint64_t", "I": "uint32_t", "f": "float"}
+
+
+def ulog(path: Path, parameters: dict[str, float], messages: list[tuple[str, int, list[tuple[Any, ...]]]]) -> Path:
+    """A log of (message, instance, rows of `SENSOR`), in PX4's own format."""
+
+    def packed(kind: str, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    fields = "".join(f"{TYPES[code]} {name};" for name, code in SENSOR.items())
+    data = b"ULog\x01\x12\x35\x01" + bytes(8) + packed("B", bytes(40))
+    for name in dict.fromkeys(name for name, _, _ in messages):
+        data += packed("F", f"{name}:{fields}".encode())
+    for name, value in parameters.items():
+        key = f"{'int32_t' if isinstance(value, int) else 'float'} {name}".encode()
+        data += packed("P", bytes([len(key)]) + key + struct.pack("<i" if isinstance(value, int) else "<f", value))
+    rows = []
+    for number, (name, instance, values) in enumerate(messages):
+        data += packed("A", struct.pack("<BH", instance, number) + name.encode())
+        rows += [
+            (row[0], packed("D", struct.pack("<H" + "".join(SENSOR.values()), number, *row))) for row in values
+        ]
+    path.write_bytes(data + b"".join(row for _, row in sorted(rows)))
+    return path
+
+
+DEVICES, TURNS, GYROSCOPE = (111, 222, 333), (8, 6, 0), 5
+SIMULATION = mg.simulate("wide", 60, rate=20, seed=3)
+SENSED = [
+    (SIMULATION.recording.magnetic_field * 1e4 + [0.1 * k, -0.2 * k, 0.05 * k]) @ mounting(turn)
+    for k, turn in enumerate(TURNS)
+]  # gauss, in the axes of each of three compasses
+TURNED = SIMULATION.recording.angular_rate @ mounting(2)  # type: ignore[operator]  # in the gyroscope's
+# Compass 222 has the parameters 0, compass 111 the parameters 2, and compass 333 none.
+SLOTS = (2, 0, 1)
+SET = {
+    "CAL_MAG0_ID": 222, "CAL_MAG0_ROT": 6, "CAL_MAG0_XOFF": 0.02, "CAL_MAG2_ID": 111, "CAL_MAG2_ROT": 8,
+    "CAL_GYRO0_ID": 4, "CAL_GYRO1_ID": GYROSCOPE, "CAL_GYRO1_ROT": 2, "CAL_GYRO1_XOFF": 0.5,
+}  # fmt: skip
+
+
+def three_compasses(path: Path) -> Path:
+    """A log of raw messages of three compasses, which are mounted in different ways, and a gyroscope."""
+    at = [round((t + 10) * 1e6) for t in SIMULATION.recording.time]
+    messages = [
+        (name, k, [(t, device, *row) for t, row in zip(at, values.tolist(), strict=True)])
+        for name, k, device, values in (
+            *(("sensor_mag", k, DEVICES[k], values) for k, values in enumerate(SENSED)),
+            ("sensor_gyro", 0, GYROSCOPE, TURNED),
+        )
+    ]
+    return ulog(path, SET, messages)
+
+
+def written(text: str) -> dict[str, float]:
+    rows = [line.split("\t") for line in text.splitlines() if not line.startswith("#")]
+    return {row[2]: float(row[3]) for row in rows}
+
+
+def by_px4(rows: dict[str, float], slot: int, raw: np.ndarray) -> np.ndarray:
+    """S (raw − offset) of PX4's Magnetometer::Correct with the parameters of a slot."""
+    offset, scale, beside = (
+        np.array([rows[f"CAL_MAG{slot}_{axis}{name}"] for axis in "XYZ"]) for name in ("OFF", "SCALE", "ODIAG")
+    )
+    xy, xz, yz = beside
+    matrix = np.diag(scale) + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+    return np.asarray((raw - offset) @ matrix)
+
+
+@pytest.mark.parametrize("compass", range(3))
+def test_exported_parameters_correct_the_sensor_of_their_slot(tmp_path: Path, compass: int) -> None:
+    """The vehicle's axes were written for the sensor's, and the first compass's parameters for every compass."""
+    pytest.importorskip("pyulog")
+    path = three_compasses(tmp_path / "a.ulg")
+    recording = read(path, magnetic_field=f"sensor_mag[{compass}]")
+    calibration = mg.calibrate(recording)
+    rows = written(calibration.export("px4"))
+    assert {name[7] for name in rows if name.startswith("CAL_MAG")} == {str(SLOTS[compass])}
+    assert rows.get("CAL_MAG1_ID") == (333 if compass == 2 else None)  # of the compass that has none yet
+    raw = SENSED[compass]
+    spread = np.linalg.norm(by_px4(rows, SLOTS[compass], raw), axis=1).std()
+    assert spread < 0.3 * np.linalg.norm(raw, axis=1).std()
+    assert {name[8] for name in rows if name.startswith("CAL_GYRO")} == {"1"}
+    bias = [rows[f"CAL_GYRO1_{axis}OFF"] for axis in "XYZ"]
+    np.testing.assert_allclose(bias, SIMULATION.truth.gyro_bias @ mounting(2), atol=1e-3)
+    if compass == 0:  # what else keeps a calibration
+        gap = mg.find_gap(recording, candidates=["timing"])
+        History([factor_of(recording, None, {})]).save(tmp_path / "history.yaml")
+        history = History.load(tmp_path / "history.yaml")
+        for other in (gap.calibration, gap.base, *history.calibrations, history.next):
+            assert other.export("px4").count("CAL_MAG2_XOFF") == 1
+
+
+def test_every_command_writes_the_parameters_of_the_slot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # no processes
+    pytest.importorskip("pyulog")
+    path, out = three_compasses(tmp_path / "a.ulg"), tmp_path / "out"
+    assert main(["calibrate", str(path), "--all", "-q", "-o", str(out)]) == 0
+    for folder, slot in zip(("a-sensor-mag", "a-sensor-mag-1", "a-sensor-mag-2"), SLOTS, strict=True):
+        text = (out / folder / "px4.params").read_text(encoding="utf-8")
+        assert {f"CAL_MAG{slot}_"} == set(re.findall(r"CAL_MAG\d_", "\n".join(written(text))))
+        assert main(["export", str(out / folder / "calibration.yaml"), "px4", "-o", str(tmp_path / "again")]) == 0
+        assert (tmp_path / "again").read_text(encoding="utf-8") == text
+        assert (
+            (out / folder / "ardupilot.param").read_text(encoding="utf-8").startswith("# nothing for ardupilot: ")
+        )
+
+
+def test_a_place_that_the_log_does_not_tell() -> None:
+    def place(parameters: dict[str, float], device: int | None, *, rotated: bool = False) -> Any:
+        return undo("MAG", RAW, STAMP, Parameters(parameters), device, corrected=rotated, rotated=rotated)[2]
+
+    full = {f"CAL_MAG{k}_ID": k + 1 for k in range(4)}
+    assert "all are in use by others" in place(full, 9).problem
+    assert "does not say which CAL_MAGn_*" in place(full, None).problem
+    board = {"SENS_BOARD_ROT": 2}
+    assert "turns with the board" in place(board, 9, rotated=True).problem
+    assert not place(board, 9).problem
+    assert (place({}, 9, rotated=True).slot, place({}, 9).device) == (0, 9)
 
 
 def test_flight(shared_data: Path) -> None:

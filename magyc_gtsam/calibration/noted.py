@@ -1,12 +1,13 @@
-"""A calibration with more diagnostics, or the gyroscope's axes, whose values are not checked again."""
+"""A calibration with more diagnostics, or with what an export must know of its log; values are not checked again."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 from magyc_gtsam.calibration.calibration import Calibration
+from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES
 
 
@@ -15,9 +16,24 @@ def noted(calibration: Calibration, **diagnostics: Any) -> Calibration:
     return _with(calibration, "diagnostics", diagnostics)
 
 
-def with_gyroscope_axes(calibration: Calibration, axes: str) -> Calibration:
-    """Return the calibration with `Recording.gyroscope_axes` in its configuration, which `export` turns back."""
-    return calibration if axes == OWN_AXES else _with(calibration, "configuration", {"gyroscope_axes": axes})
+class Mounted(Protocol):
+    """What is known of the sensors' place on a vehicle: a `Recording`, or a log of a history."""
+
+    @property
+    def gyroscope_axes(self) -> str:
+        """See `Recording`."""
+
+    @property
+    def autopilot(self) -> Autopilot | None:
+        """See `Recording`."""
+
+
+def as_mounted(calibration: Calibration, log: Mounted) -> Calibration:
+    """Return the calibration with the axes and the autopilot of its log in its configuration, for `export`."""
+    known: dict[str, Any] = {} if log.gyroscope_axes == OWN_AXES else {"gyroscope_axes": log.gyroscope_axes}
+    if log.autopilot is not None:
+        known["autopilot"] = log.autopilot.to_dict()
+    return _with(calibration, "configuration", known) if known else calibration
 
 
 def _with(calibration: Calibration, name: str, more: Mapping[str, Any]) -> Calibration:

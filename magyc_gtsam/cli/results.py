@@ -43,7 +43,7 @@ class Task:
         folder: folder of its results.
         arguments: the command line, for configuration.yaml.
         force: also write the parameters of a result that must not be trusted, as comments.
-        compass: number of the compass on the vehicle, from 1.
+        compass: number of the compass on the vehicle, from 1, where the log does not say it.
     """
 
     reading: Reading
@@ -189,7 +189,7 @@ def calibrate_log(
             remark = f"the earlier calibration must not be trusted by itself: {cause}"
             recording = replace(recording, notes=(*recording.notes, remark))
         calibration = _calibrate(recording, task, stage("calibrating"))
-        if task.compass > 1:
+        if task.compass > 1 and recording.autopilot is None:
             calibration = replace(
                 calibration, configuration={**calibration.configuration, "compass": task.compass}
             )

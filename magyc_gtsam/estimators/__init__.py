@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.calibration.noted import noted, with_gyroscope_axes
+from magyc_gtsam.calibration.noted import as_mounted, noted
 from magyc_gtsam.estimators.gauge import check_field_strength, check_noise, doubt_strength
 from magyc_gtsam.estimators.method import Method, methods_from_outside
 from magyc_gtsam.factors.chain.facts import strength_of
@@ -195,7 +195,7 @@ def calibrate(
         if not usable.refused:
             raise
         raise MagycError(f"{usable.refused}; {problem}") from None
-    result = with_gyroscope_axes(noted(result, recordings=[*before, own]), recording.gyroscope_axes)
+    result = as_mounted(noted(result, recordings=[*before, own]), recording)
     left_out = usable.left_out
     if left_out:
         message = f"{result.message}; left out: {'; '.join(left_out)}"

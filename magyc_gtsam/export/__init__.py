@@ -17,13 +17,15 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.export.ardupilot import ardupilot
 from magyc_gtsam.export.correction import Correction
-from magyc_gtsam.export.parts import numbered, with_terms
+from magyc_gtsam.export.parts import with_terms
+from magyc_gtsam.export.places import OF_THE_FIRST, in_places, numbered, places_of
 from magyc_gtsam.export.px4 import px4
 from magyc_gtsam.export.ros import ros
 from magyc_gtsam.export.vectornav import vectornav
 from magyc_gtsam.factors.effects.dated import afterwards
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES, axes_text, parse_axes
 
 __all__ = ["TARGETS", "do_not_use", "export", "exported"]
@@ -48,6 +50,7 @@ def export(
     per_motor: bool = False,
     compass: int = 1,
     gyroscope_axes: str = OWN_AXES,
+    autopilot: Autopilot | None = None,
 ) -> str:
     """Return the text to paste into `target`.
 
@@ -59,14 +62,17 @@ def export(
         terms: other effects of the calibration. Jumps of iron and bias that last are in the values, which are those
             after them; a comment says so, and lists the terms that the target cannot represent.
         per_motor: the channels of current are outputs of motors, each with separate compensation (ArduPilot).
-        compass: number of the compass on the vehicle, from 1, for targets with several.
+        compass: number of the compass on the vehicle, from 1, for targets with several, without `autopilot`.
         gyroscope_axes: `Recording.gyroscope_axes`; the gyroscope's values are turned back into its own axes.
+        autopilot: `Recording.autopilot`; the parameters are those of its sensors, in the axes of its firmware.
 
     Raises:
-        MagycError: the target is unknown or cannot represent the calibration, or the axes are no axes.
+        MagycError: the target is unknown or cannot represent the calibration, the axes are no axes, or the log is of
+            another autopilot or does not say which of the parameters are those of the sensors.
     """
     if target not in TARGETS:
         raise MagycError(f"unknown export target {target!r}; there are {', '.join(TARGETS)}")
+    places = places_of(autopilot, target, compass)
     after = afterwards(
         np.asarray(soft_iron, dtype=np.float64),
         np.asarray(hard_iron, dtype=np.float64),
@@ -80,12 +86,19 @@ def export(
         parse_axes(gyroscope_axes),
     )
     correction, missing = with_terms(bare, after.terms, target, per_motor)
-    lines = numbered(TARGETS[target](correction), target, compass)
+    placed, left_out = in_places(correction, *places)
+    lines = numbered(TARGETS[target](placed), target, *places)
     missing += ["motor-current"] if correction.motor is not None and target not in _WITH_MOTOR else []
     if target not in _WITH_TEMPERATURE:
         missing += ["temperature-hard-iron"] if correction.thermal is not None else []
         missing += ["temperature-gyro"] if correction.warming_gyro is not None else []
-    remarks = [*_limits(missing, [term.name for term in after.jumps]), *_in_own_axes(correction)]
+    first = [OF_THE_FIRST[target]] if autopilot is None and compass == 1 and target in OF_THE_FIRST else []
+    remarks = [
+        *_limits(missing, [term.name for term in after.jumps]),
+        *left_out,
+        *_in_own_axes(correction),
+        *first,
+    ]
     return "\n".join([*remarks, *lines]) + "\n"
 
 
@@ -127,6 +140,7 @@ def exported(calibration: Any, target: str, force: bool, per_motor: bool) -> str
         return do_not_use(reason, exported(trusted, target, False, per_motor))
     if calibration.magnetic_field_unit == "counts":
         raise MagycError("a calibration in raw counts cannot be exported; calibrate in tesla")
+    known = calibration.configuration.get("autopilot")
     return export(
         target,
         calibration.soft_iron,
@@ -136,6 +150,7 @@ def exported(calibration: Any, target: str, force: bool, per_motor: bool) -> str
         per_motor=per_motor,
         compass=calibration.configuration.get("compass", 1),
         gyroscope_axes=calibration.configuration.get("gyroscope_axes", OWN_AXES),
+        autopilot=None if known is None else Autopilot.from_dict(known),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,7 +13,6 @@ from magyc_gtsam.export.correction import Correction, degrees
 from magyc_gtsam.factors.effects.corrections import corrected_field
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
-from magyc_gtsam.factors.errors import MagycError
 
 _SMALLEST_ROTATION = 1e-6  # rad; less is rounding
 _ROTATIONS = ("misalignment", "axis-order")  # terms that turn the field to the gyroscope's axes
@@ -64,39 +62,3 @@ def with_terms(
     gyroscope = {"gyro_bias": bare.gyro_bias, "warming_gyro": found.get("warming_gyro")}
     found |= {name: value if value is None else own_axes.T @ value for name, value in gyroscope.items()}
     return replace(bare, offset=offset, gyro_axes=own_axes, **found), missing
-
-
-_COMPASSES = {"px4": 4, "ardupilot": 3}  # number of compasses with parameters; other targets correct one sensor
-_CUSTOM_ROTATIONS = 2  # of ArduPilot
-
-
-def numbered(lines: list[str], target: str, compass: int) -> list[str]:
-    """Return the lines of an export with the parameter names of the given compass, counted from 1.
-
-    Raises:
-        MagycError: the target has no such compass, or has a parameter of the export only for the first ones.
-    """
-    count = _COMPASSES.get(target)
-    if count is None or compass == 1:
-        return lines
-    if not isinstance(compass, int) or not 1 <= compass <= count:
-        raise MagycError(f"compass: must be 1 to {count} for {target}, got {compass!r}")
-    if target == "px4":
-        slot = f"CAL_MAG{compass - 1}"
-        renamed = [re.sub(r"\b(CAL_MAG|TC_M)0_", rf"\g<1>{compass - 1}_", line) for line in lines]
-        return [f"# Of compass {compass} in the log: {slot}_ID must be its device id.", *renamed]
-    if compass > _CUSTOM_ROTATIONS and any(line.startswith("CUST_ROT1_") for line in lines):
-        raise MagycError(
-            f"compass {compass}: ArduPilot has only {_CUSTOM_ROTATIONS} custom rotations; mount it straight"
-        )
-    if any(line.startswith("COMPASS_PMOT_EN") for line in lines):
-        raise MagycError(f"compass {compass}: ArduPilot compensates per motor only for the first compass")
-    renames = (
-        (r"\bCOMPASS_(OFS|DIA|ODI|MOT)_", rf"COMPASS_\g<1>{compass}_"),
-        (r"\bCOMPASS_ORIENT([ ,])101\b", rf"COMPASS_ORIENT{compass}\g<1>{100 + compass}"),
-        (r"\bCOMPASS_(SCALE|ORIENT)\b", rf"COMPASS_\g<1>{compass}"),
-        (r"\bCUST_ROT1_", f"CUST_ROT{compass}_"),
-    )
-    for old, new in renames:
-        lines = [re.sub(old, new, line) for line in lines]
-    return lines

@@ -34,7 +34,7 @@ def px4(c: Correction) -> list[str]:
         whole["CAL_MAG0_ROT"] = 100
         values |= dict(zip(("CAL_MAG0_ROLL", "CAL_MAG0_PITCH", "CAL_MAG0_YAW"), angles(rotation), strict=True))
         notes.append(f"CAL_MAG0_ROT 100, with ROLL, PITCH, YAW in degrees, turns by {degrees(rotation):.2f} deg.")
-        notes.append("It is for an external compass that had CAL_MAG0_ROT 0 when the log was recorded.")
+        notes.append("It replaces CAL_MAG0_ROT of the log (0 if the log is not of PX4), for an external compass.")
         notes.append(EXTERNAL_ONLY)
     if c.motor is not None:
         whole["CAL_MAG_COMP_TYP"] = 2
@@ -57,7 +57,7 @@ def px4(c: Correction) -> list[str]:
         "# PX4 parameters (QGroundControl: Vehicle Setup > Parameters > Tools > Load from file).",
         "# Offsets in gauss, SUBTRACTED: field = scale * (raw - offset), in the sensor's own axes, before",
         "# CAL_MAG0_ROT. XODIAG, YODIAG, ZODIAG are the elements xy, xz, yz of the scale matrix.",
-        "# Gyroscope offsets in rad/s, subtracted. For a sensor other than the first replace MAG0, GYRO0.",
+        "# Gyroscope offsets in rad/s, subtracted.",
         *(f"# {note}" for note in notes),
         "# Vehicle-Id Component-Id Name Value Type",
         *(f"1\t1\t{name}\t{value}\t6" for name, value in whole.items()),

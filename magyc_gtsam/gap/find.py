@@ -9,7 +9,7 @@ from typing import overload
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import on_recording
-from magyc_gtsam.calibration.noted import noted, with_gyroscope_axes
+from magyc_gtsam.calibration.noted import as_mounted, noted
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.effects import NAMES
@@ -95,8 +95,7 @@ def find_gap(
         gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
     fitted = noted(gap.calibration, recordings=[fingerprint(recording)])
-    axes = recording.gyroscope_axes
-    return replace(gap, calibration=with_gyroscope_axes(fitted, axes), base=with_gyroscope_axes(gap.base, axes))
+    return replace(gap, calibration=as_mounted(fitted, recording), base=as_mounted(gap.base, recording))
 
 
 def _side(

@@ -24,6 +24,7 @@ from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
+from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.recording.time_zero import time_zero_of
@@ -60,7 +61,7 @@ class LogFactor:
         log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
         field_strength: field strength, T, estimated or given.
         problem: why the log has no information; "" if it has.
-        gyroscope_axes: of its recording.
+        gyroscope_axes, autopilot: of its recording.
         samples: fingerprint of its recording; "" in a history of an earlier version, of a file that cannot be read, of
             a copy of another log, and of a calibrated log.
     """
@@ -79,6 +80,7 @@ class LogFactor:
     samples: str = ""
     noise_covariance: Array | None = None
     gyroscope_axes: str = OWN_AXES
+    autopilot: Autopilot | None = None
 
     @property
     def counts(self) -> bool:
@@ -95,7 +97,8 @@ class LogFactor:
     def to_dict(self) -> dict[str, Any]:
         """Return the factor as JSON types."""
         arrays = {name: getattr(self, name) for name in _SHAPES}
-        return asdict(self) | {name: None if value is None else value.tolist() for name, value in arrays.items()}
+        values = asdict(self) | {name: None if value is None else value.tolist() for name, value in arrays.items()}
+        return values | {"autopilot": None if self.autopilot is None else self.autopilot.to_dict()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> LogFactor:
@@ -112,6 +115,8 @@ class LogFactor:
                     if values[name].shape not in shapes or not np.isfinite(values[name]).all():
                         wanted = " or ".join(map(str, shapes))
                         raise MagycError(f"history: {name} of a log must be {wanted} finite numbers")
+            if values.get("autopilot") is not None:
+                values["autopilot"] = Autopilot.from_dict(values["autopilot"])
             factor = cls(**values)
             mean, covariance = values["mean"], values["covariance"]
             sizes = {
@@ -145,7 +150,12 @@ def factor_of(recording: Recording, time: float | None, options: dict[str, Any])
         factor = LogFactor(recording.name, when, None, None, problem=str(problem))
     else:
         factor = compress(calibration, recording.name, when)
-    return replace(factor, samples=fingerprint(recording), gyroscope_axes=recording.gyroscope_axes)
+    return replace(
+        factor,
+        samples=fingerprint(recording),
+        gyroscope_axes=recording.gyroscope_axes,
+        autopilot=recording.autopilot,
+    )
 
 
 def compress(calibration: Calibration, name: str, time: float | None) -> LogFactor:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.calibration.noted import with_gyroscope_axes
+from magyc_gtsam.calibration.noted import as_mounted
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.bias_scatter import predicted_bias
@@ -105,7 +105,7 @@ def _calibration(
         message=message,
         diagnostics=diagnostics,
     )
-    return with_gyroscope_axes(found, log.gyroscope_axes)
+    return as_mounted(found, log)
 
 
 def _misalignment(logs: Sequence[LogFactor]) -> tuple[Term, ...]:

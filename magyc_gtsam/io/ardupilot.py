@@ -8,12 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.ardupilot_compass import undo
+from magyc_gtsam.io.ardupilot_compass import slot_of, undo
 from magyc_gtsam.io.ardupilot_messages import ArduPilotLog, label, load
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.autopilot import Autopilot, Place
 
 _MILLIGAUSS = 1e-7  # T
 _AXES = {
@@ -36,13 +37,16 @@ def read(path: Path, request: Request) -> Recording:
     channels = tuple(request.channels) if request.channels is not None else _CHANNELS
     log = load(path, _fields(channels), request)
     notes = list(log.notes)
-    sensors = {"magnetic_field": _magnetometer(log, request, notes)}
+    compass, place = _magnetometer(log, request, notes)
+    sensors, gyroscope_place = {"magnetic_field": compass}, Place()
     for sensor in ("angular_rate", "acceleration"):
         key = _choose(log, sensor, request, notes if sensor == "angular_rate" else [])
         if key is None:
             notes.append(f"no {sensor}: the log has no IMU messages")
             continue
         scale = request.scale(sensor, notes=notes)
+        if sensor == "angular_rate":
+            gyroscope_place = Place(key[1])
         stream = log.samples[key].stream(*_AXES[sensor][1])
         sensors[sensor] = Stream(stream.name, stream.stamp, stream.value * scale)
     if "angular_rate" in sensors:
@@ -59,6 +63,7 @@ def read(path: Path, request: Request) -> Recording:
         name=path.stem,
         notes=tuple(notes),
         attitude_is="estimate",
+        autopilot=Autopilot("ardupilot", place, gyroscope_place),
     )
 
 
@@ -120,8 +125,8 @@ def _choose(log: ArduPilotLog, sensor: str, request: Request, notes: list[str]) 
     return keys[0] if keys else None
 
 
-def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> Stream:
-    """Return the uncorrected magnetometer, without samples that are marked as unhealthy."""
+def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tuple[Stream, Place]:
+    """Return the uncorrected magnetometer, without unhealthy samples, and the place of its parameters."""
     key = _choose(log, "magnetic_field", request, notes)
     if key is None:
         raise MagycError(
@@ -147,7 +152,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> Stre
                 f"{stream.name}: {(~healthy).sum()} of {len(healthy)} samples are unhealthy and were left out"
             )
             stream = stream.rows(healthy)
-    return stream
+    return stream, Place(slot_of(log.parameters[-1], key[1]))
 
 
 def _attitude(log: ArduPilotLog, request: Request, notes: list[str]) -> Stream | None:

@@ -51,7 +51,7 @@ def undo(
     for index in np.unique(which):
         rows = which == index
         current = parameters[index]
-        suffix = _suffix(current, instance)
+        suffix = _number(slot_of(current, instance))
         matrix, scale = _matrix(current, suffix), _scale(current, suffix)
         exact = np.array([current.get(f"COMPASS_OFS{suffix}_{axis}", np.nan) for axis in "XYZ"])
         # The parameter has the digits that were truncated, unless ArduPilot learned the offset in flight.
@@ -84,11 +84,11 @@ def undo(
     return raw, tuple(notes)
 
 
-def _suffix(parameters: dict[str, float], instance: int) -> str:
-    """Return the suffix of a compass's parameter names; the log counts by priority, the parameters by driver."""
+def slot_of(parameters: dict[str, float], instance: int) -> int:
+    """Return the number, from 0, of a compass's parameters; the log counts by priority, the parameters by driver."""
     device = parameters.get(f"COMPASS_PRIO{instance + 1}_ID", 0)
     drivers = [i for i in range(3) if device and parameters.get(f"COMPASS_DEV_ID{_number(i)}") == device]
-    return _number(drivers[0] if drivers else instance)
+    return drivers[0] if drivers else instance
 
 
 def _number(index: int) -> str:

@@ -2,13 +2,13 @@
 
 PX4 logs R (S (raw − offset)): S from CAL_MAGn_{X,Y,Z}SCALE and, since 1.11, {X,Y,Z}ODIAG, the offset from
 CAL_MAGn_{X,Y,Z}OFF, R from CAL_MAGn_ROT (an external sensor) or SENS_BOARD_ROT and SENS_BOARD_{X,Y,Z}_OFF, and
-in the same way for gyroscopes. The result here is R raw: raw values in the frame that all sensors share.
+in the same way for gyroscopes. The result here is R raw: raw values in the frame that all sensors share, and n and R.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording.autopilot import Place
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -58,8 +59,8 @@ def undo(
     *,
     corrected: bool,
     rotated: bool,
-) -> tuple[Array, list[str]]:
-    """Return raw values (n, 3) in the frame of the vehicle, and notes on the calibration that was undone.
+) -> tuple[Array, list[str], Place]:
+    """Return raw values (n, 3) in the vehicle's frame, notes on what was undone, and the place of the parameters.
 
     Args:
         kind: kind of sensor.
@@ -74,6 +75,7 @@ def undo(
         MagycError: the log does not say which calibration was applied, or it cannot be undone.
     """
     index, notes = _index(kind, parameters, device, corrected)
+    place = _place(kind, parameters, device, index)
     prefix = f"CAL_{kind}{index}_"
     rotation = _rotation(prefix, parameters)
     value = logged @ rotation if rotated else logged  # rows: x @ R is Rᵀx
@@ -93,10 +95,26 @@ def undo(
         notes.append(f"{prefix}* was applied in flight and is undone: offset ({text}) {unit}{extra}")
         if (offset != offset[0]).any() or (scale != scale[0]).any():
             notes.append(f"{prefix}* changed within the log; each sample was corrected by the values at its time")
+    place = replace(place, axes=tuple(map(tuple, rotation.tolist())))
     if not np.allclose(rotation, np.eye(3)):
+        if rotated and index is None and not place.problem:
+            why = f"the log does not say whether the sensor ({device}) turns with the board (SENS_BOARD_ROT)"
+            place = replace(place, problem=f"{why}; calibrate it in PX4 once, and log again")
         angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
         notes.append(f"{kind}: values are in the vehicle's frame, {angle:.2f}° from the sensor's")
-    return value @ rotation.T, notes
+    return value @ rotation.T, notes, place
+
+
+def _place(kind: str, parameters: Parameters, device: int | None, index: int | None) -> Place:
+    """Return the place of a sensor's parameters; a sensor without any is given the first that are free."""
+    if index is not None:
+        return Place(index)
+    if device is None:
+        return Place(problem=f"the log does not say which CAL_{kind}n_* are those of the sensor")
+    free = [n for n in _INSTANCES if not parameters.initial.get(f"CAL_{kind}{n}_ID", 0)]
+    if not free:
+        return Place(problem=f"no CAL_{kind}n_ID is the sensor's ({device}), and all are in use by others")
+    return Place(free[0], device)
 
 
 def _index(kind: str, parameters: Parameters, device: int | None, corrected: bool) -> tuple[int | None, list[str]]:

@@ -14,6 +14,7 @@ from magyc_gtsam.foreign_text import counted, first_of
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.checks import FIELD_RANGE, given_away, impossible_rates
 from magyc_gtsam.recording.time_zero import time_zero_note
 
@@ -58,6 +59,7 @@ def assemble(
     notes: tuple[str, ...] = (),
     angular_rate_is: Literal["instant", "interval-mean"] = "instant",
     attitude_is: Literal["independent", "estimate"] = "independent",
+    autopilot: Autopilot | None = None,
     repeated: str = _REPEATED,
 ) -> Recording:
     """Combine streams into one `Recording`; time 0 is the first row of the log.
@@ -66,7 +68,7 @@ def assemble(
         sensors: "magnetic_field" and optionally "angular_rate", "acceleration", "attitude" (x, y, z, w).
         channels: further streams by name; an unusable one is left out with a note.
         request: for the interval, and for the sensors and units that the caller named.
-        name, notes, angular_rate_is, attitude_is: of the recording.
+        name, notes, angular_rate_is, attitude_is, autopilot: of the recording.
         repeated: the remedy if stamps occur twice with different values.
 
     Raises:
@@ -129,7 +131,8 @@ def assemble(
         attitude_is=attitude_is,
         magnetic_field_unit="counts" if counts else "T",
     )
-    return recording if start is None and end is None else recording.between(start, end)
+    recording = recording if start is None and end is None else recording.between(start, end)
+    return recording if autopilot is None else replace(recording, autopilot=autopilot)
 
 
 def _clean(stream: Stream, role: str, notes: list[str], repeated: str, in_tesla: bool = True) -> Stream:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +16,7 @@ from magyc_gtsam.io.px4_messages import Array, Message, device_of, load
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.autopilot import Autopilot, Place
 
 _GAUSS = 1e-4  # T
 _NO_SAMPLE = 0x7FFFFFFF  # relative stamp of a sensor without a new sample in sensor_combined
@@ -53,8 +55,9 @@ def read(path: Path, request: Request) -> Recording:
     messages, parameters, damage = load(path, sorted(names))
     request.report(0.7)
     notes = list(damage)
-    sensors = {"magnetic_field": _magnetometer(messages, parameters, request, notes)}
-    gyroscope, mean = _gyroscope(messages, parameters, request, notes)
+    magnetometer, place = _magnetometer(messages, parameters, request, notes)
+    sensors = {"magnetic_field": magnetometer}
+    gyroscope, mean, gyroscope_place = _gyroscope(messages, parameters, request, notes)
     if gyroscope is not None:
         sensors["angular_rate"] = gyroscope
     acceleration = _find(messages, "acceleration", request.named("acceleration"))
@@ -73,6 +76,7 @@ def read(path: Path, request: Request) -> Recording:
         notes=tuple(notes),
         angular_rate_is=mean,
         attitude_is="estimate",
+        autopilot=Autopilot("px4", place, gyroscope_place),
     )
     request.report(1.0)
     return recording
@@ -131,8 +135,10 @@ def _find(
     return best, value
 
 
-def _magnetometer(messages: list[Message], parameters: Parameters, request: Request, notes: list[str]) -> Stream:
-    """Return the magnetometer with PX4's calibration undone."""
+def _magnetometer(
+    messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
+) -> tuple[Stream, Place]:
+    """Return the magnetometer with PX4's calibration undone, and the place of its parameters."""
     found = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
     if found is None:
         raise MagycError(
@@ -150,7 +156,7 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
     if message.name == "vehicle_magnetometer":
         _refuse_estimated_bias(messages)
     # Before version 1.11 the driver corrected sensor_mag, which then also had x_raw; it is never rotated.
-    raw, undone = undo(
+    raw, undone, place = undo(
         "MAG",
         logged,
         stamp,
@@ -161,7 +167,7 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
     )
     notes.extend(undone)
     scale = request.scale("magnetic_field", _GAUSS, notes)
-    return Stream(message.label, stamp * 1000, raw * scale)
+    return Stream(message.label, stamp * 1000, raw * scale), place
 
 
 def _refuse_estimated_bias(messages: list[Message]) -> None:
@@ -178,20 +184,21 @@ def _refuse_estimated_bias(messages: list[Message]) -> None:
 
 def _gyroscope(
     messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
-) -> tuple[Stream | None, Literal["instant", "interval-mean"]]:
-    """Return the gyroscope with PX4's calibration undone, None without one, and the kind of its rates."""
+) -> tuple[Stream | None, Literal["instant", "interval-mean"], Place]:
+    """Return the gyroscope with PX4's calibration undone, None without one, the kind of its rates, and its place."""
     found = _find(messages, "angular_rate", request.named("angular_rate"), notes)
     if found is None:
         notes.append("no gyroscope: the log has neither sensor_combined nor sensor_gyro")
-        return None, "instant"
+        return None, "instant", Place()
     message, logged = found
     combined = message.name == "sensor_combined"
+    problem = ""
     try:
         device = device_of(message, messages, "gyro")
     except MagycError as error:  # the log changes between gyroscopes, which only changes the bias to estimate
-        device = None
-        notes.append(str(error))
-    raw, undone = undo(
+        device, problem = None, str(error)
+        notes.append(problem)
+    raw, undone, place = undo(
         "GYRO",
         logged,
         message.stamp,
@@ -201,6 +208,7 @@ def _gyroscope(
         rotated=combined,
     )
     notes.extend(undone)
+    place = replace(place, problem=problem or place.problem)
     if parameters.initial.get("TC_G_ENABLE", 0):
         notes.append("the gyroscope's thermal correction (TC_G_*) was applied in flight and is kept")
     scale = request.scale("angular_rate", notes=notes)
@@ -209,8 +217,8 @@ def _gyroscope(
         notes.append(
             "sensor_combined holds delta angles over gyro_integral_dt: the angular rate is an interval mean"
         )
-        return stream, "interval-mean"
-    return stream, "instant"
+        return stream, "interval-mean", place
+    return stream, "instant", place
 
 
 def _attitude(messages: list[Message], request: Request, notes: list[str]) -> Stream | None:

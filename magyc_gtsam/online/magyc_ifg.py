@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.calibration.noted import with_gyroscope_axes
+from magyc_gtsam.calibration.noted import as_mounted
 from magyc_gtsam.estimators.magyc.derivative_windows import (
     LEAST_WINDOWS,
     form_windows,
@@ -100,7 +100,7 @@ class IncrementalMagyc:
             return None
         recording = Recording(self._visited[:, 0], self._visited[:, 1:], gyroscope_axes=self._gyroscope_axes)
         calibration = graph.calibration(parameters, recording, windows=len(graph))
-        return with_gyroscope_axes(calibration, recording.gyroscope_axes)
+        return as_mounted(calibration, recording)
 
     def converged(self) -> bool:
         """See `Engine.converged`: observable, and near the mean over the last fifth of the estimates."""

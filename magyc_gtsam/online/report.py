@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.calibration.noted import with_gyroscope_axes
+from magyc_gtsam.calibration.noted import as_mounted
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift
@@ -58,7 +58,7 @@ def report_of(
     windows = online.belief.given_up + int(np.searchsorted(online.numbers(), first)) + len(fit.chain.windows)
     configuration = dict(online.settings.configuration)
     result = replace(result, diagnostics={**result.diagnostics, "windows": windows}, configuration=configuration)
-    return with_gyroscope_axes(result, recording.gyroscope_axes)
+    return as_mounted(result, recording)
 
 
 def with_misalignment(online: SmootherState, fit: Fit) -> Fit:

@@ -18,6 +18,7 @@ import numpy as np
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import LONGEST, printable
+from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES, axes_text, parse_axes
 from magyc_gtsam.recording.checks import (
     NO_GYROSCOPE,
@@ -70,6 +71,7 @@ class Recording:
             does. A calibration that rests on an estimate is not trusted.
         gyroscope_axes: the sensor's own axes along x, y, z of `angular_rate`, where it was turned into the axes of the
             magnetometer, such as "y,-x,z". Advice and exports are in the sensor's own.
+        autopilot: where the autopilot that wrote the log has the sensors' parameters; None for other logs.
         magnetic_field_unit: "T", or "counts" where the scale is unknown; then the field, and every result that has
             its unit, is in counts.
         magnetic_field_fresh: (N,) bool, rows that hold a true sample of the magnetometer. Default: all rows that do
@@ -94,6 +96,7 @@ class Recording:
     angular_rate_is: RateKind = field(default="instant", kw_only=True)
     attitude_is: AttitudeKind = field(default="independent", kw_only=True)
     gyroscope_axes: str = field(default=OWN_AXES, kw_only=True)
+    autopilot: Autopilot | None = field(default=None, kw_only=True)
     magnetic_field_unit: FieldUnit = field(default="T", kw_only=True)
     magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
@@ -134,15 +137,8 @@ class Recording:
             channels[name], note = without_no_values(name, channels[name])
             put(self, "notes", (*self.notes, note) if note else self.notes)
         put(self, "channels", MappingProxyType(channels))
-        masks = sample_masks(
-            time,
-            self.magnetic_field,
-            self.angular_rate,
-            self.magnetic_field_fresh,
-            self.angular_rate_fresh,
-            self.magnetic_field_stamped,
-        )
-        for name, mask in masks.items():
+        given = self.magnetic_field_fresh, self.angular_rate_fresh, self.magnetic_field_stamped
+        for name, mask in sample_masks(time, self.magnetic_field, self.angular_rate, *given).items():
             put(self, name, mask)
 
     @property

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.calibration.noted import noted, with_gyroscope_axes
+from magyc_gtsam.calibration.noted import as_mounted, noted
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested
 from magyc_gtsam.gap.evidence.generic import families
@@ -286,4 +286,4 @@ def _calibration(log: OneLog, complete: bool) -> Calibration:
     if log.clipped is not None and why:
         found = doubted(found, doubt_of_clipped(log.clipped, why))
     found = noted(found, recordings=[fingerprint(log.recording)])
-    return with_gyroscope_axes(found, log.recording.gyroscope_axes)
+    return as_mounted(found, log.recording)

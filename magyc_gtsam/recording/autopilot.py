@@ -1,0 +1,95 @@
+"""Where an autopilot keeps the parameters of the sensors of a log, and in which axes it applies them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording.checks import Array
+
+_LARGEST = 2**32  # beyond any identifier of a device
+_TOLERANCE = 1e-6  # of R Rᵀ − I
+
+
+@dataclass(frozen=True)
+class Place:
+    """The parameters of one sensor.
+
+    Attributes:
+        slot: number of the parameters, from 0: CAL_MAG0 is 0; COMPASS_OFS is 0 and COMPASS_OFS2 is 1.
+        device: identifier to be written with them, of a sensor that has no slot yet; None leaves the present one.
+        axes: (3, 3), from the axes in which the firmware applies the parameters to those of the recording.
+        problem: why no parameters can be written; "" if they can.
+
+    Raises:
+        MagycError: a value is not of these.
+    """
+
+    slot: int = 0
+    device: int | None = None
+    axes: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    problem: str = ""
+
+    def __post_init__(self) -> None:
+        whole = [self.slot] if self.device is None else [self.slot, self.device]
+        if any(not isinstance(n, int) or isinstance(n, bool) or not 0 <= n < _LARGEST for n in whole):
+            raise MagycError(f"autopilot: slot and device must be whole numbers from 0, got {whole!r:.60}")
+        if not isinstance(self.problem, str):
+            raise MagycError(f"autopilot: problem must be a text, got {self.problem!r:.60}")
+        try:
+            axes = np.array(self.axes, dtype=np.float64)
+        except (TypeError, ValueError):
+            axes = np.zeros(0)
+        if axes.shape != (3, 3) or not np.allclose(axes @ axes.T, np.eye(3), rtol=0, atol=_TOLERANCE):
+            raise MagycError(f"autopilot: axes must be a rotation (3, 3), got {self.axes!r:.60}")
+        object.__setattr__(self, "axes", tuple(map(tuple, axes.tolist())))
+
+    @property
+    def rotation(self) -> Array:
+        """`axes` as an array (3, 3)."""
+        return np.array(self.axes)
+
+
+@dataclass(frozen=True)
+class Autopilot:
+    """The parameters of a log's magnetometer and gyroscope.
+
+    Attributes:
+        firmware: the export target that has them, "px4" or "ardupilot"; "" if the log does not say.
+        magnetometer, gyroscope: the place of each.
+    """
+
+    firmware: str
+    magnetometer: Place = field(default_factory=Place)
+    gyroscope: Place = field(default_factory=Place)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the places as JSON types."""
+        places = {name: asdict(getattr(self, name)) for name in ("magnetometer", "gyroscope")}
+        for place in places.values():
+            place["axes"] = [list(row) for row in place["axes"]]
+        return {"firmware": self.firmware, **places}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Autopilot:
+        """Return the places that `to_dict` described.
+
+        Raises:
+            MagycError: a value is missing or not of these.
+        """
+        try:
+            if not isinstance(data, Mapping) or not isinstance(data["firmware"], str):
+                raise TypeError("firmware is missing")
+            return cls(data["firmware"], Place(**data["magnetometer"]), Place(**data["gyroscope"]))
+        except (KeyError, TypeError) as error:
+            raise MagycError(f"autopilot: damaged entry ({error}); calibrate the log again") from None
+
+
+def corrected_in_flight(why: str) -> Autopilot:
+    """Return the places of sensors whose readings hold a correction of the firmware that cannot be undone."""
+    problem = f"{why}, which these parameters would replace; read the log on the autopilot's own card (.ulg, .BIN)"
+    return Autopilot("", Place(problem=problem), Place(problem=problem))
