@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.ardupilot_compass import undo
+from magyc_gtsam.io.px4_calibration import mounting
 
 RAW = np.random.default_rng(3).normal(0, 400, (40, 3))  # milligauss
 OFFSET = np.array([-40.328, 251.292, 363.938])
@@ -103,7 +105,10 @@ def test_rov(shared_data: Path) -> None:
     again = back.magnetometer.value / 1e-7 + offset  # DIA is 1, ODI 0, SCALE and motors off
     np.testing.assert_allclose(again, [logged[round(t * 1e6)] for t in back.magnetometer.time], atol=1e-6)
     rates = {m.TimeUS - first: [m.GyrX, m.GyrY, m.GyrZ] for m in messages["IMU"]}
-    np.testing.assert_array_equal(back.gyroscope.value, [rates[round(t * 1e6)] for t in back.gyroscope.time])
+    assert parameters["AHRS_ORIENTATION"] == 16  # roll by 90 degrees
+    x, y, z = (parameters[f"INS_GYROFFS_{a}"] for a in "XYZ")
+    logged_rates = [rates[round(t * 1e6)] for t in back.gyroscope.time]
+    np.testing.assert_allclose(back.gyroscope.value - [x, -z, y], logged_rates, atol=1e-12)
     np.testing.assert_array_equal([np.trunc(offset)] * 3, [[m.OfsX, m.OfsY, m.OfsZ] for m in messages["MAG"][:3]])
     assert back.magnetometer.time[0] == 0
     assert back.duration == pytest.approx(23.6, abs=0.1)
@@ -204,14 +209,20 @@ def flight() -> list[tuple[str, tuple]]:
 # Of each compass of the log, by priority: iron beside the vehicle's in milligauss, and offset in flight.
 BESIDE, IN_FLIGHT = ((0, 0, 0), (100, -200, 50)), ((-30, 50, 20), (100, 0, -70))
 DRIVERS = ("2", "")  # of its parameters
+GYROSCOPE_IN_FLIGHT = {"INS_GYROFFS": (0.01, -0.02, 0.005), "INS_GYR2OFFS": (-0.3, 0.0, 0.04)}
+BOARD = mounting(6)  # AHRS_ORIENTATION
 
 
 def vehicle(path: Path, simulation: mg.Simulation) -> Path:
-    """A log of two compasses, the second of which has the first driver."""
-    parameters = {"COMPASS_PMOT_EN": 0, "COMPASS_DEV_ID": 5, "COMPASS_DEV_ID2": 9}
+    """A log of two compasses, the second of which has the first driver, and two gyroscopes on a turned board."""
+    parameters: dict[str, float] = {"COMPASS_PMOT_EN": 0, "COMPASS_DEV_ID": 5, "COMPASS_DEV_ID2": 9}
     parameters |= {"COMPASS_PRIO1_ID": 9, "COMPASS_PRIO2_ID": 5}
     for driver, offset in zip(DRIVERS, IN_FLIGHT, strict=True):
         parameters |= {f"COMPASS_OFS{driver}_{a}": o for a, o in zip("XYZ", offset, strict=True)}
+    offsets = list(GYROSCOPE_IN_FLIGHT.values())
+    for name, offset in GYROSCOPE_IN_FLIGHT.items():
+        parameters |= {f"{name}_{a}": o for a, o in zip("XYZ", offset, strict=True)}
+    parameters["AHRS_ORIENTATION"] = 6
     messages: list[tuple[str, tuple]] = [("PARM", (0, name, float(value))) for name, value in parameters.items()]
     recording = simulation.recording
     for t, m, w in zip(recording.time, recording.magnetic_field * 1e7, recording.angular_rate, strict=True):
@@ -219,7 +230,7 @@ def vehicle(path: Path, simulation: mg.Simulation) -> Path:
         for k, (beside, offset) in enumerate(zip(BESIDE, IN_FLIGHT, strict=True)):
             logged = np.rint(m + beside + offset).astype(int)
             messages.append(("MAG", (at, k, *logged, *offset, 0, 0, 0, 1, at)))
-        messages += [("IMU", (at, k, *(w + 0.1 * k), 0.0, 0.0, -9.8)) for k in range(2)]
+        messages += [("IMU", (at, k, *(w - BOARD @ offsets[k]), 0.0, 0.0, -9.8)) for k in range(2)]
     return dataflash(path, messages)
 
 
@@ -240,6 +251,31 @@ def test_exported_parameters_correct_the_compass_of_their_driver(tmp_path: Path,
     assert np.linalg.norm(field, axis=1).std() < 0.3 * np.linalg.norm(raw, axis=1).std()
     own = "INS_GYR2OFFS" if compass else "INS_GYROFFS"
     assert {n for n in rows if "GYR" in n} == {f"{own}_{a}" for a in "XYZ"}
+    # The offset in flight would be replaced: what was exported was the rest, in the vehicle's axes.
+    bias = [rows[f"{own}_{a}"] for a in "XYZ"]
+    np.testing.assert_allclose(bias, simulation.truth.gyro_bias @ BOARD, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "why"),
+    [
+        ({}, "does not hold INS_GYROFFS"),
+        ({"INS_GYROFFS_X": 0.1, "AHRS_ORIENTATION": 101.0}, "AHRS_ORIENTATION 101 is not a fixed"),
+    ],
+)
+def test_an_offset_that_cannot_be_undone_is_not_replaced(
+    tmp_path: Path, parameters: dict[str, float], why: str
+) -> None:
+    messages = [("PARM", (0, name, value)) for name, value in parameters.items()]
+    back = read(dataflash(tmp_path / "a.BIN", [*messages, *flight()]))
+    assert any(why in note for note in back.notes)
+    np.testing.assert_allclose(back.gyroscope.value[:, 0], np.float32(0.1 * np.arange(40)), rtol=1e-6)
+    assert back.autopilot is not None
+    bias = mg.Calibration(np.eye(3), np.zeros(3), np.full(3, 0.1))
+    text = replace(bias, configuration={"autopilot": back.autopilot.to_dict()}).export("ardupilot")
+    assert "COMPASS_OFS_X," in text
+    assert "INS_GYROFFS_X," not in text
+    assert "# LIMIT: the gyroscope's values are not included: INS_GYROFFS_* was subtracted" in text
 
 
 OLD_NAMES = (

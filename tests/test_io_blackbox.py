@@ -92,6 +92,9 @@ def test_a_log_becomes_a_recording_and_a_calibration(simulated: mg.Simulation, t
     np.testing.assert_allclose(recording.acceleration[:, 2], 9.80665)
     calibration = mg.calibrate(recording)
     np.testing.assert_allclose(calibration.hard_iron, simulated.truth.hard_iron, atol=1e-6)
+    for target in ("px4", "ardupilot"):
+        with pytest.raises(MagycError, match="the log is of Betaflight or INAV, and its magADC includes"):
+            calibration.export(target)
     described = info(path)
     assert described.format == "Blackbox (INAV 7.1.0 (abc) MATEKF405)"
     assert {source.serves_as for source in described.sources} == {

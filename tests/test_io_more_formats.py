@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import magyc_gtsam as mg
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
 
@@ -163,6 +164,12 @@ def test_telemetry(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.angular_rate, rate * 1e-3, rtol=1e-12)
     np.testing.assert_allclose(back.time, np.arange(N) * 0.02, atol=1e-9)
     assert any("the autopilot's calibration" in n for n in back.notes)
+    assert back.autopilot is not None
+    known = mg.Calibration(np.eye(3), np.zeros(3), configuration={"autopilot": back.autopilot.to_dict()})
+    for target in ("px4", "ardupilot"):  # whose parameters the readings include
+        with pytest.raises(MagycError, match=f"nothing for {target}: telemetry: .*which these parameters would"):
+            known.export(target)
+    assert "bias" in known.export("ros")
     assert info(path).sources[0].count == N
     with pytest.raises(MagycError, match="no message 'RAW_IMU'"):
         read(path, magnetic_field="RAW_IMU")

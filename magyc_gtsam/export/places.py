@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from magyc_gtsam.export.correction import Correction
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording.autopilot import Autopilot, Place
+from magyc_gtsam.recording.autopilot import Autopilot, Place, ardupilot_offset
 
 _COMPASSES = {"px4": 4, "ardupilot": 3}  # number of compasses with parameters; other targets correct one sensor
 _CUSTOM_ROTATIONS = 2  # of ArduPilot
@@ -79,7 +79,7 @@ def numbered(lines: list[str], target: str, magnetometer: Place, gyroscope: Plac
     """
     if target == "px4":
         return _of_px4(lines, magnetometer, gyroscope)
-    return _of_ardupilot(lines, magnetometer.slot + 1, gyroscope.slot + 1) if target == "ardupilot" else lines
+    return _of_ardupilot(lines, magnetometer.slot + 1, gyroscope.slot) if target == "ardupilot" else lines
 
 
 def _of_px4(lines: list[str], magnetometer: Place, gyroscope: Place) -> list[str]:
@@ -97,9 +97,7 @@ def _of_px4(lines: list[str], magnetometer: Place, gyroscope: Place) -> list[str
 
 
 def _of_ardupilot(lines: list[str], compass: int, gyroscope: int) -> list[str]:
-    if gyroscope > 1:
-        name = f"INS_GYR{gyroscope}OFFS" if gyroscope < 4 else f"INS{gyroscope}_GYROFFS"
-        lines = [re.sub(r"\bINS_GYROFFS", name, line) for line in lines]
+    lines = [re.sub(r"\bINS_GYROFFS", ardupilot_offset(gyroscope), line) for line in lines]
     if compass == 1:
         return lines
     if compass > _CUSTOM_ROTATIONS and any(line.startswith("CUST_ROT1_") for line in lines):

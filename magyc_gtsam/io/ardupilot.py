@@ -1,14 +1,15 @@
-"""Reader of ArduPilot dataflash logs (.BIN); it undoes the compass correction that ArduPilot applied."""
+"""Reader of ArduPilot dataflash logs (.BIN); it undoes the corrections that ArduPilot applied."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.ardupilot_compass import slot_of, undo
+from magyc_gtsam.io import ardupilot_compass, ardupilot_gyroscope
 from magyc_gtsam.io.ardupilot_messages import ArduPilotLog, label, load
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
@@ -45,14 +46,17 @@ def read(path: Path, request: Request) -> Recording:
             notes.append(f"no {sensor}: the log has no IMU messages")
             continue
         scale = request.scale(sensor, notes=notes)
+        samples = log.samples[key]
+        stream = samples.stream(*_AXES[sensor][1])
         if sensor == "angular_rate":
-            gyroscope_place = Place(key[1])
-        stream = log.samples[key].stream(*_AXES[sensor][1])
+            raw, note, gyroscope_place = ardupilot_gyroscope.undo(
+                stream.value, samples.parameters, log.parameters, key[1]
+            )
+            stream = replace(stream, value=raw)
+            cutoff = log.parameters[-1].get("INS_GYRO_FILTER")
+            delayed = f"; the rates are low-pass filtered at {cutoff:g} Hz (INS_GYRO_FILTER)" if cutoff else ""
+            notes.append(f"{note}{delayed}")
         sensors[sensor] = Stream(stream.name, stream.stamp, stream.value * scale)
-    if "angular_rate" in sensors:
-        cutoff = log.parameters[-1].get("INS_GYRO_FILTER")
-        delayed = f", and low-pass filtered at {cutoff:g} Hz (INS_GYRO_FILTER)" if cutoff else ""
-        notes.append(f"the angular rate is as logged, with INS_GYROFFS_* subtracted in flight{delayed}")
     attitude = _attitude(log, request, notes)
     if attitude is not None:
         sensors["attitude"] = attitude
@@ -134,7 +138,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tupl
         )
     samples = log.samples[key]
     stream = samples.stream(*_AXES["magnetic_field"][1])
-    raw, correction_notes = undo(
+    raw, correction_notes = ardupilot_compass.undo(
         stream.value,
         samples.first_of(*_OFFSETS),
         samples.first_of(*_MOTORS),
@@ -152,7 +156,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tupl
                 f"{stream.name}: {(~healthy).sum()} of {len(healthy)} samples are unhealthy and were left out"
             )
             stream = stream.rows(healthy)
-    return stream, Place(slot_of(log.parameters[-1], key[1]))
+    return stream, Place(ardupilot_compass.slot_of(log.parameters[-1], key[1]))
 
 
 def _attitude(log: ArduPilotLog, request: Request, notes: list[str]) -> Stream | None:

@@ -100,7 +100,8 @@ def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: 
         for kind in fields
         if kind in log.kinds and log.kinds[kind].fields is None
     ]
-    used = np.sort(np.concatenate([log.places(k) for k in present if k.startswith("MAG")] or [np.empty(0, int)]))
+    corrected = [log.places(kind) for kind in present if kind.startswith(("MAG", "IMU"))]
+    used = np.sort(np.concatenate(corrected or [np.empty(0, int)]))
     parameters, changes = _parameters(log, used)
     samples: dict[tuple[str, int], InstanceSamples] = {}
     impossible = 0

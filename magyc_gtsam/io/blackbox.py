@@ -17,6 +17,7 @@ from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.autopilot import without_parameters
 
 _GRAVITY = 9.80665  # m/s²
 _FIELDS = {"magnetic_field": ("magADC",), "angular_rate": ("gyroADC",), "acceleration": ("accSmooth", "accADC")}
@@ -25,6 +26,9 @@ _UNKNOWN_UNIT = (
     "magADC is logged in counts of the compass chip; give the tesla per count (magnetic_unit=1e-7 if 1000 counts are "
     "a gauss), or magnetic_unit='counts' for a method that needs only the magnetometer"
 )
+
+_FILTERED = "magADC includes the firmware's compass calibration and alignment"
+_AUTOPILOT = without_parameters(f"the log is of Betaflight or INAV, and its {_FILTERED}")
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def read(path: Path, request: Request) -> Recording:
         )
     if request.units.get("magnetic_field") is None:
         raise MagycError(f"{path}: {_UNKNOWN_UNIT}")
-    notes = ["magADC includes the firmware's compass calibration and alignment"]
+    notes = [_FILTERED]
     if flight.count > 1:
         notes.append(f"the file holds {flight.count} logs, this is number {wanted} (log=)")
     if not flight.whole:
@@ -75,7 +79,7 @@ def read(path: Path, request: Request) -> Recording:
         # The compass is slower than the log, which repeats the last reading.
         new = np.r_[True, (np.diff(value, axis=0) != 0).any(axis=1)] if sensor == "magnetic_field" else slice(None)
         sensors[sensor] = Stream(_FIELDS[sensor][0], stamp[new], value[new] * scale)
-    return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes))
+    return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes), autopilot=_AUTOPILOT)
 
 
 def info(path: Path) -> LogInfo:

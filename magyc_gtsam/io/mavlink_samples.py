@@ -25,7 +25,7 @@ MESSAGES: dict[str, tuple[str, int, Fields]] = {
     "RAW_IMU": ("time_usec", 1_000, _MILLI),
     **{f"SCALED_IMU{k}": ("time_boot_ms", 1_000_000, _MILLI) for k in ("", "2", "3")},
 }
-FILTERED = "telemetry: the field includes the autopilot's calibration"
+FILTERED = "telemetry: the readings include the autopilot's calibration"
 _UPDATED = {"magnetic_field": 0x1C0, "angular_rate": 0x38, "acceleration": 0x7}  # of HIGHRES_IMU.fields_updated
 
 

@@ -24,7 +24,11 @@ from magyc_gtsam.io.mavlink_samples import (
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.autopilot import without_parameters
 
+_AUTOPILOT = without_parameters(
+    f"{FILTERED}, which these parameters would replace; read the log on the autopilot's own card (.ulg, .BIN)"
+)
 _REPEATED = "use the times at which the ground station received them (stamps='log')"
 
 
@@ -84,7 +88,15 @@ def read(path: Path, request: Request) -> Recording:
         sensors[sensor] = kinds[kind].stream(kind, sensor, scale)
     if "magnetic_field" not in sensors:
         raise MagycError(f"{path}: no magnetometer in the log; readable messages: {listed}")
-    return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes), repeated=_REPEATED)
+    return assemble(
+        sensors,
+        {},
+        request,
+        name=path.stem,
+        notes=tuple(notes),
+        autopilot=_AUTOPILOT,
+        repeated=_REPEATED,
+    )
 
 
 def info(path: Path) -> LogInfo:

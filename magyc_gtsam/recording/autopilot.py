@@ -89,7 +89,13 @@ class Autopilot:
             raise MagycError(f"autopilot: damaged entry ({error}); calibrate the log again") from None
 
 
-def corrected_in_flight(why: str) -> Autopilot:
-    """Return the places of sensors whose readings hold a correction of the firmware that cannot be undone."""
-    problem = f"{why}, which these parameters would replace; read the log on the autopilot's own card (.ulg, .BIN)"
+def without_parameters(problem: str) -> Autopilot:
+    """Return the places of sensors for which no parameters can be written, for a reason."""
     return Autopilot("", Place(problem=problem), Place(problem=problem))
+
+
+def ardupilot_offset(slot: int) -> str:
+    """Return the name of the offset of ArduPilot's gyroscope number `slot`, from 0, without its axis."""
+    if slot < 3:
+        return "INS_GYROFFS" if slot == 0 else f"INS_GYR{slot + 1}OFFS"
+    return f"INS{slot + 1}_GYROFFS"
