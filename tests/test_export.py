@@ -270,6 +270,10 @@ def test_a_log_of_px4_gives_parameters_in_the_axes_of_each_sensor(terms: tuple[T
     np.testing.assert_allclose(field @ turned_by_px4.T, expected, atol=3e-11)
     np.testing.assert_allclose(rate @ gyroscope.T, calibration.apply_gyroscope(RATE), atol=3e-8)
     assert calibration.export("ros") == known.export("ros")
+    straight = Autopilot("px4", Place(axes=own.tolist())).to_dict()
+    said = "# Gyroscope values are in its own axes, of which -y,x,z lie along the magnetometer's"
+    assert said in replace(known, configuration={"autopilot": straight}).export("px4")
+    assert "Gyroscope values are in its own axes" not in text  # which are oblique
     with pytest.raises(MagycError, match="the log is of PX4, and does not say which of ArduPilot's"):
         calibration.export("ardupilot")
     damaged = {"firmware": "px4", "magnetometer": {"axes": [[1, 0, 0]]}, "gyroscope": {}}

@@ -96,16 +96,17 @@ def export(
     remarks = [
         *_limits(missing, [term.name for term in after.jumps]),
         *left_out,
-        *_in_own_axes(correction),
+        *_in_own_axes(placed),
         *first,
     ]
     return "\n".join([*remarks, *lines]) + "\n"
 
 
 def _in_own_axes(correction: Correction) -> list[str]:
-    """Return a comment on the axes of the gyroscope's values, if they are not those of the magnetometer."""
+    """Return a comment on the axes of the gyroscope's values, if they are others of the magnetometer's."""
     axes = axes_text(correction.gyro_axes)
-    if correction.gyro_bias is None or axes == OWN_AXES:
+    oblique = not np.allclose(np.abs(correction.gyro_axes).max(axis=1), 1.0)
+    if correction.gyro_bias is None or axes == OWN_AXES or oblique:
         return []
     return [f"# Gyroscope values are in its own axes, of which {axes} lie along the magnetometer's x, y, z."]
 

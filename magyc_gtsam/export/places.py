@@ -61,6 +61,7 @@ def in_places(correction: Correction, magnetometer: Place, gyroscope: Place) -> 
         c,
         matrix=own.T @ c.matrix @ own,
         offset=c.offset @ own,
+        gyro_axes=own.T @ c.gyro_axes @ gyroscope.rotation,
         rotation=None if c.rotation is None else c.rotation @ own,
         motor=None if c.motor is None else c.motor @ own,
         motors=None if c.motors is None else c.motors @ own,

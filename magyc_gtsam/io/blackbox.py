@@ -28,7 +28,9 @@ _UNKNOWN_UNIT = (
 )
 
 _FILTERED = "magADC includes the firmware's compass calibration and alignment"
-_AUTOPILOT = without_parameters(f"the log is of Betaflight or INAV, and its {_FILTERED}")
+_AUTOPILOT = without_parameters(
+    f"the log is of Betaflight or INAV, and its {_FILTERED}; `magyc-gtsam apply` corrects it"
+)
 
 
 @dataclass(frozen=True)
