@@ -282,6 +282,15 @@ def test_a_log_of_px4_gives_parameters_in_the_axes_of_each_sensor(terms: tuple[T
             replace(calibration, configuration={"autopilot": wrong}).export("px4")
 
 
+def test_a_rotation_comes_after_the_orientation_that_ardupilot_had() -> None:
+    """COMPASS_ORIENT is replaced: a compass that was mounted backwards pointed backwards."""
+    autopilot = Autopilot("ardupilot", Place(mounting=mounting(4).tolist()))
+    calibration = Calibration(SOFT_IRON, HARD_IRON, terms=(MOUNTING,))
+    text = replace(calibration, configuration={"autopilot": autopilot.to_dict()}).export("ardupilot")
+    field, _ = ardupilot(text, FIELD @ mounting(4), RATE)
+    np.testing.assert_allclose(field, calibration.apply(FIELD), atol=3e-11)
+
+
 def test_a_gyroscope_that_warms_up_is_exported_where_the_target_has_it() -> None:
     """What is pasted corrects as `apply` does; ArduPilot's table is relative to its own calibration's temperature."""
     warming = Term("temperature-gyro", [2e-5, -4e-5, 3e-5], np.eye(3) * 1e-14, {"reference_0": 24.0})

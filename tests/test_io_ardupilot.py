@@ -222,7 +222,7 @@ def vehicle(path: Path, simulation: mg.Simulation) -> Path:
     offsets = list(GYROSCOPE_IN_FLIGHT.values())
     for name, offset in GYROSCOPE_IN_FLIGHT.items():
         parameters |= {f"{name}_{a}": o for a, o in zip("XYZ", offset, strict=True)}
-    parameters["AHRS_ORIENTATION"] = 6
+    parameters |= {"AHRS_ORIENTATION": 6, "COMPASS_ORIENT": 4, "COMPASS_ORIENT2": 101, "CUST_ROT1_YAW": 90}
     messages: list[tuple[str, tuple]] = [("PARM", (0, name, float(value))) for name, value in parameters.items()]
     recording = simulation.recording
     for t, m, w in zip(recording.time, recording.magnetic_field * 1e7, recording.angular_rate, strict=True):
@@ -241,6 +241,8 @@ def test_exported_parameters_correct_the_compass_of_their_driver(tmp_path: Path,
     simulation = mg.simulate("wide", 60, rate=20, seed=3)
     path, driver = vehicle(tmp_path / "a.BIN", simulation), DRIVERS[compass]
     back = read(path, magnetic_field=f"MAG[{compass}]", angular_rate=f"IMU[{compass}]")
+    assert back.autopilot is not None
+    np.testing.assert_allclose(back.autopilot.magnetometer.mounting, mounting((2, 4)[compass]), atol=1e-12)
     text = mg.calibrate(back).export("ardupilot")
     rows = {name: float(value) for name, value in re.findall(r"^(\w+),(.*)$", text, re.MULTILINE)}
     assert {n for n in rows if "_OFS" in n} == {f"COMPASS_OFS{driver}_{a}" for a in "XYZ"}

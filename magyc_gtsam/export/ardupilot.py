@@ -37,12 +37,12 @@ def ardupilot(c: Correction) -> list[str]:
     if rotation is not None:
         # R P (raw + o) = (R P Rᵀ) (R raw + R o): the compass is turned first, and its matrix stays symmetric.
         scale, added = rotation @ scale @ rotation.T, rotation @ added
-        attitude = dict(zip(("ROLL", "PITCH", "YAW"), angles(rotation), strict=True))
+        attitude = dict(zip(("ROLL", "PITCH", "YAW"), angles(rotation @ c.mounting), strict=True))
         values |= {"COMPASS_ORIENT": 101, "CUST_ROT_ENABLE": 1}
         values |= {f"CUST_ROT1_{name}": angle for name, angle in attitude.items()}
         notes += [
-            f"COMPASS_ORIENT 101 turns by CUST_ROT1_*, degrees, {degrees(rotation):.2f} deg in all. It is",
-            "for an external compass that had COMPASS_ORIENT 0 when the log was recorded.",
+            f"COMPASS_ORIENT 101 turns by CUST_ROT1_*, degrees: by {degrees(rotation):.2f} deg, after the log's",
+            "COMPASS_ORIENT (0 if the log is not of ArduPilot), which it replaces, for an external compass.",
             EXTERNAL_ONLY,
         ]
     diagonal, off_diagonal = np.diag(scale), scale[(0, 0, 1), (1, 2, 2)]

@@ -28,6 +28,7 @@ class Correction:
         gyro_bias: (3,) rad/s, or None.
         gyro_axes: (3, 3) from the gyroscope's own axes to the magnetometer's.
         rotation: (3, 3), or None.
+        mounting: (3, 3), by which ArduPilot turned the sensor's readings into the axes of the matrix.
         motor: (3,) T/A, or None.
         thermal: (3,) T/°C, or None.
         reference: °C.
@@ -41,6 +42,7 @@ class Correction:
     gyro_bias: Array | None = None
     gyro_axes: Array = field(default_factory=lambda: np.eye(3))
     rotation: Array | None = None
+    mounting: Array = field(default_factory=lambda: np.eye(3))
     motor: Array | None = None
     thermal: Array | None = None
     reference: float = 0.0

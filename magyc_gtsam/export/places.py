@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
+
 from magyc_gtsam.export.correction import Correction
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording.autopilot import Autopilot, Place, ardupilot_offset
@@ -52,7 +54,7 @@ def in_places(correction: Correction, magnetometer: Place, gyroscope: Place) -> 
 
     With the sensor's axes R, rotation A (R m − h) = (rotation R) (Rᵀ A R) (m − Rᵀ h).
     """
-    own, c = magnetometer.rotation, correction
+    own, gyroscope_own, c = np.array(magnetometer.axes), np.array(gyroscope.axes), correction
     bias, warming, remarks = c.gyro_bias, c.warming_gyro, []
     if gyroscope.problem and not (bias is None and warming is None):
         remarks = [f"# LIMIT: the gyroscope's values are not included: {gyroscope.problem}."]
@@ -61,13 +63,14 @@ def in_places(correction: Correction, magnetometer: Place, gyroscope: Place) -> 
         c,
         matrix=own.T @ c.matrix @ own,
         offset=c.offset @ own,
-        gyro_axes=own.T @ c.gyro_axes @ gyroscope.rotation,
+        gyro_axes=own.T @ c.gyro_axes @ gyroscope_own,
+        mounting=np.array(magnetometer.mounting),
         rotation=None if c.rotation is None else c.rotation @ own,
         motor=None if c.motor is None else c.motor @ own,
         motors=None if c.motors is None else c.motors @ own,
         thermal=None if c.thermal is None else c.thermal @ own,
-        gyro_bias=None if bias is None else bias @ gyroscope.rotation,
-        warming_gyro=None if warming is None else warming @ gyroscope.rotation,
+        gyro_bias=None if bias is None else bias @ gyroscope_own,
+        warming_gyro=None if warming is None else warming @ gyroscope_own,
     )
     return placed, remarks
 

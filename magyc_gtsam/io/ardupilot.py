@@ -156,7 +156,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tupl
                 f"{stream.name}: {(~healthy).sum()} of {len(healthy)} samples are unhealthy and were left out"
             )
             stream = stream.rows(healthy)
-    return stream, Place(ardupilot_compass.slot_of(log.parameters[-1], key[1]))
+    return stream, ardupilot_compass.place_of(log.parameters[-1], key[1])
 
 
 def _attitude(log: ArduPilotLog, request: Request, notes: list[str]) -> Stream | None:

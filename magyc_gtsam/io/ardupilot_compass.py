@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.px4_calibration import LARGEST_MOUNTING, euler, mounting
+from magyc_gtsam.recording.autopilot import Place
 
 Array = NDArray[np.float64]
 
+_CUSTOM = (101, 102)  # orientations by CUST_ROT1 and CUST_ROT2
 _SCALES = (1 / 1.5, 1.5)  # ArduPilot ignores a scale outside this range
 
 
@@ -89,6 +92,21 @@ def slot_of(parameters: dict[str, float], instance: int) -> int:
     device = parameters.get(f"COMPASS_PRIO{instance + 1}_ID", 0)
     drivers = [i for i in range(3) if device and parameters.get(f"COMPASS_DEV_ID{_number(i)}") == device]
     return drivers[0] if drivers else instance
+
+
+def place_of(parameters: dict[str, float], instance: int) -> Place:
+    """Return the place of a compass's parameters, with the rotation that was applied before them."""
+    slot = slot_of(parameters, instance)
+    name = f"COMPASS_ORIENT{_number(slot)}"
+    number = int(parameters.get(name, 0))
+    if number in _CUSTOM:
+        angles = [parameters.get(f"CUST_ROT{number - 100}_{angle}", 0.0) for angle in ("ROLL", "PITCH", "YAW")]
+        turned = euler(*angles)
+    elif 0 <= number <= LARGEST_MOUNTING:
+        turned = mounting(number)
+    else:
+        return Place(slot, problem=f"{name} {number} of the log is not a rotation that is known; set another")
+    return Place(slot, mounting=tuple(map(tuple, turned.tolist())))
 
 
 def _number(index: int) -> str:

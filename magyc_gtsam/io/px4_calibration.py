@@ -184,6 +184,7 @@ _EULER = (
     (270, 180, 0), (90, 270, 0), (180, 270, 0), (270, 270, 0), (90, 180, 90), (90, 0, 270), (90, 68.8, 293.3),
     (0, 315, 0), (90, 315, 0),
 )  # fmt: skip
+LARGEST_MOUNTING = len(_EULER) - 1  # number of the last orientation that is known; ArduPilot has the same
 
 
 def euler(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
@@ -198,6 +199,6 @@ def mounting(number: int) -> NDArray[np.float64]:
     Raises:
         MagycError: the number is unknown.
     """
-    if not 0 <= number < len(_EULER):
-        raise MagycError(f"sensor orientation: must be 0 to {len(_EULER) - 1}, got {number}")
+    if not 0 <= number <= LARGEST_MOUNTING:
+        raise MagycError(f"sensor orientation: must be 0 to {LARGEST_MOUNTING}, got {number}")
     return euler(*_EULER[number])

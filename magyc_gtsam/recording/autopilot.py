@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording.checks import Array
 
 _LARGEST = 2**32  # beyond any identifier of a device
+_UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _TOLERANCE = 1e-6  # of R Rᵀ − I
 
 
@@ -23,6 +23,7 @@ class Place:
         slot: number of the parameters, from 0: CAL_MAG0 is 0; COMPASS_OFS is 0 and COMPASS_OFS2 is 1.
         device: identifier to be written with them, of a sensor that has no slot yet; None leaves the present one.
         axes: (3, 3), from the axes in which the firmware applies the parameters to those of the recording.
+        mounting: (3, 3), by which it turns the readings before it applies them; an export with a rotation includes it.
         problem: why no parameters can be written; "" if they can.
 
     Raises:
@@ -31,7 +32,8 @@ class Place:
 
     slot: int = 0
     device: int | None = None
-    axes: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    axes: tuple[tuple[float, ...], ...] = _UNTURNED
+    mounting: tuple[tuple[float, ...], ...] = _UNTURNED
     problem: str = ""
 
     def __post_init__(self) -> None:
@@ -40,18 +42,18 @@ class Place:
             raise MagycError(f"autopilot: slot and device must be whole numbers from 0, got {whole!r:.60}")
         if not isinstance(self.problem, str):
             raise MagycError(f"autopilot: problem must be a text, got {self.problem!r:.60}")
-        try:
-            axes = np.array(self.axes, dtype=np.float64)
-        except (TypeError, ValueError):
-            axes = np.zeros(0)
-        if axes.shape != (3, 3) or not np.allclose(axes @ axes.T, np.eye(3), rtol=0, atol=_TOLERANCE):
-            raise MagycError(f"autopilot: axes must be a rotation (3, 3), got {self.axes!r:.60}")
-        object.__setattr__(self, "axes", tuple(map(tuple, axes.tolist())))
+        for name in ("axes", "mounting"):
+            object.__setattr__(self, name, _rows(name, getattr(self, name)))
 
-    @property
-    def rotation(self) -> Array:
-        """`axes` as an array (3, 3)."""
-        return np.array(self.axes)
+
+def _rows(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
+    try:
+        matrix = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (3, 3) or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0, atol=_TOLERANCE):
+        raise MagycError(f"autopilot: {name} must be a rotation (3, 3), got {given!r:.60}")
+    return tuple(map(tuple, matrix.tolist()))
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Autopilot:
         """Return the places as JSON types."""
         places = {name: asdict(getattr(self, name)) for name in ("magnetometer", "gyroscope")}
         for place in places.values():
-            place["axes"] = [list(row) for row in place["axes"]]
+            place |= {name: [list(row) for row in place[name]] for name in ("axes", "mounting")}
         return {"firmware": self.firmware, **places}
 
     @classmethod
