@@ -73,16 +73,26 @@ def _possible(twin: Twin, stays: list[dict[str, float]]) -> list[dict[str, float
     Without turns its hard iron may have changed instead of the place. But a place changes while the vehicle moves, as
     where it is put on a table, and a magnet may be attached at rest.
     """
-    ends = np.array([[stay.get("time", -np.inf), stay.get("until", np.inf)] for stay in stays]).reshape(-1, 2)
-    turns = turned(twin, *ends.T) > RULES.stay_turns
+    ends = _ends(stays)
     moves = (turned(twin, ends - RULES.at_once, ends + RULES.at_once) > RULES.stay_moves) | np.isinf(ends)
-    return [stay for stay, one in zip(stays, turns | moves.all(axis=1), strict=True) if one]
+    return [stay for stay, one in zip(stays, _turns(twin, stays) | moves.all(axis=1), strict=True) if one]
+
+
+def _turns(twin: Twin, stays: list[dict[str, float]]) -> np.ndarray:
+    """Return in which of the stays the vehicle turns (k,) bool."""
+    return np.asarray(turned(twin, *_ends(stays).T) > RULES.stay_turns)
+
+
+def _ends(stays: list[dict[str, float]]) -> Array:
+    """Return when each stay begins and ends (k, 2), s; infinite if it does not."""
+    return np.array([[stay.get("time", -np.inf), stay.get("until", np.inf)] for stay in stays]).reshape(-1, 2)
 
 
 def _nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     if "width" not in setting:
         near = step_nearby(twin, setting, _PLACES)
-        return near if len(setting) > 1 else near + _stays_between(twin, *setting.values())
+        one_end = len(setting) == 1 and _turns(twin, [dict(setting)])[0]
+        return near + (_stays_between(twin, *setting.values()) if one_end else [])
     time, width = setting["time"], setting["width"]
     return [
         {"time": time + shift * width, "width": width * stretch, "passing": passing}

@@ -93,7 +93,7 @@ class Node:
                     PRIOR.form_of_field * self.of_field,
                     *(PRIOR.form * powers[index, j] for j in stronger),
                 ]
-                passed = any(_one_passing(terms[index], terms[other]) for other in stronger)
+                passed = any(one_event(terms[index], terms[other]) for other in stronger)
                 if passed or powers[index, index] <= max(deviations):
                     del result[place]
                     break
@@ -201,8 +201,8 @@ def related(one: str, other: str) -> bool:
     return one == other or other in TERMS[one].rivals or one in TERMS[other].rivals
 
 
-def _one_passing(one: Active, other: Active) -> bool:
-    """Return whether two changes are one event.
+def one_event(one: Active | Weighed, other: Active | Weighed) -> bool:
+    """Return whether two changes, each in a set or a candidate, are one event.
 
     So are anomalies that are one object: bumps near each other, whose field rotates meanwhile, or one at the beginning
     or the end of a stay; and a jump of the iron when the place changes, which a vehicle at rest takes for each other.

@@ -18,7 +18,7 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, with_each_drift
 from magyc_gtsam.gap.evidence.laplace import Terms, marginal
 from magyc_gtsam.gap.evidence.look import finer
-from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
+from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, one_event, related
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of
 from magyc_gtsam.gap.model.field_variation import COLOURS, COMBINATIONS, FieldVariation, field_variation
@@ -207,16 +207,19 @@ class Tree:
         )
         if beside and colour is not None and colour.log + PRIOR.named > 0:
             yield self._node(names, node.fit, _variation(names, node.fit), node.search)
-        least, count = -1.0 - PRIOR.named, 0
+        least, tried = -1.0 - PRIOR.named, list[Weighed]()
         for option in self._options(node):
-            if option.log < least or count == PRIOR.beam or len(self.nodes) >= PRIOR.nodes:
+            if option.log < least or len(tried) == PRIOR.beam or len(self.nodes) >= PRIOR.nodes:
                 break
+            if any(one_event(option, other) for other in tried):
+                continue  # a rival, which is exchanged for it
             if node.key_with(option.name) not in self.nodes:
                 child = self._child(node, option)
                 if child is None:
                     continue
                 yield child
-            least, count = max(least, option.log - PRIOR.close), count + 1
+            least = max(least, option.log - PRIOR.close)
+            tried.append(option)
 
     def _child(self, node: Node, option: Weighed) -> Node | None:
         setting = dict(option.setting)
