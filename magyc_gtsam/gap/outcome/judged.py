@@ -27,6 +27,7 @@ from magyc_gtsam.gap.result import Doubt
 from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.recording import Recording
 
+_MIRRORED = "the fit with the effects ended at a mirrored field: choose an interval without them (start=, end=)"
 _SKEW = "misalignment"  # the term that is the skew of the chips, which is then not estimated a second time
 
 
@@ -64,6 +65,11 @@ def judged(
     elif wrong := doubt_strength(IronScale.of(unvech(model.parameters[:6])).strength, None):
         reasons.insert(0, wrong)
         doubt = Doubt(*cause_and_action(wrong))
+    if (
+        np.linalg.eigvalsh(unvech(model.parameters[:6]))[0] <= 0
+    ):  # and −A and −g explain all readings as A and g do
+        reasons.insert(0, _MIRRORED)
+        doubt = Doubt(*cause_and_action(_MIRRORED))
     told = [*reasons, calibration.message] if reasons else [calibration.message, judgement.remark]
     late = calibration.delay_sigma is not None
     whole = replace(
