@@ -111,6 +111,8 @@ class Rules:
     # and 06 have 0.05 to 0.7 where they are picked up and put down, BROAD 32 has 0.01 where its magnet is attached, and
     # a wrong bias makes 0.02 of a rest
     stay_moves: float = 0.04
+    # of the last jump, below which the iron after it is the one before the first jump: what was attached was taken off
+    taken_off: float = 0.5
     same_row: float = 0.99  # correlation above which two rows of a channel are the same
 
     # What could not be found.

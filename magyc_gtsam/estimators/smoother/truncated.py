@@ -20,7 +20,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
 _READINGS = {"gyroscope": "angular_rate", "magnetometer": "magnetic_field"}  # of a recording
-_FINEST = 0.05  # step over the noise of a sample, below which truncation does no harm; BROAD has 0.09 to 0.3
+_FINEST = 0.05  # step over the noise of a sample, below which truncation does no harm; BROAD has 0.08 to 0.3
 _TWICE = 1.5  # zeros over what the counts beside zero let expect; truncation makes it 2, rounding 1
 _BESIDE = np.array([-3, -2, -1, 1, 2, 3])  # steps by whose counts the zeros are expected
 _OFF = 0.05  # steps by which a reading may deviate from a multiple of them

@@ -12,8 +12,6 @@ from magyc_gtsam.gap.effects.turns import turned
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.rules import RULES
 
-_SAME = 0.5  # of the last jump, below which the iron after it is the one before the first: what came was taken off
-
 
 def doubt_of_last_jump(result: Refit) -> str:
     """Return why the iron after the last jump of a model is uncertain, with a remedy; "" if it is not."""
@@ -24,7 +22,7 @@ def doubt_of_last_jump(result: Refit) -> str:
     time = last.setting["time"]
     changed = float(np.linalg.norm(np.sum([term.value for term in jumps], axis=0)))
     moved = float(turned(result.twin, np.array([time]), np.array([np.inf]))[0])
-    if moved > RULES.stay_turns or changed < _SAME * float(np.linalg.norm(last.value)):
+    if moved > RULES.stay_turns or changed < RULES.taken_off * float(np.linalg.norm(last.value)):
         return ""
     return (
         f"the hard iron jumped at {time:.0f} s, or the field of the place changed: turn a full circle after it, or "

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from magyc_gtsam.estimators.smoother.truncated import nats_gained
+from magyc_gtsam.estimators.smoother.truncated import middles, nats_gained
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model.base import problem_of
@@ -83,8 +83,7 @@ def truncation(reading: Array, step: float, noise: float) -> Array:
 
 def centred(recording: Recording, step: float) -> Recording:
     """Return truncated readings, each in the middle of what it stands for."""
-    field = recording.magnetic_field
-    return replace(recording, magnetic_field=field + 0.5 * step * np.sign(np.round(field / step)))
+    return replace(recording, magnetic_field=middles(recording.magnetic_field, np.full(3, step)))
 
 
 def truncated_fit(recording: Recording, step: float, base: Refit) -> tuple[float, Refit]:
