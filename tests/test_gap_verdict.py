@@ -24,6 +24,7 @@ from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Manoeuvre, Status
 from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
 from magyc_gtsam.simulation.sensor import Simulation
 from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.scoring import score
 from magyc_gtsam.study.faults.signals import record
 
 CALIBRATION = Calibration(np.eye(3), np.zeros(3), np.zeros(3), np.eye(12) * 1e-14, field_strength=50e-6)
@@ -179,10 +180,12 @@ def test_a_jump_after_which_the_vehicle_rests_may_be_of_the_place() -> None:
     assert taken_off.calibration.trusted, taken_off.calibration.message
 
 
-def test_a_mirrored_field_is_not_trusted() -> None:
+def test_a_mirrored_field_is_turned_back() -> None:
     """A stay beside steel whose field is as large as the horizontal one: the heading was 180° off."""
     fault = FAULTS["stay-beside-steel"]
-    recording = record("moderate", 35067, fault, fault.strong, "stay-beside-steel").recording("steel")
-    calibration = mg.find_gap(recording, candidates=["local-anomaly"]).calibration
-    upright = bool((np.linalg.eigvalsh(calibration.soft_iron) > 0).all())
-    assert upright or not calibration.trusted
+    log = record("moderate", 35067, fault, fault.strong, "stay-beside-steel")
+    calibration = mg.find_gap(log.recording("steel"), candidates=["local-anomaly"]).calibration
+    result = score(calibration, "", log.body_R_sensor, float(log.field_time[-1]))
+    assert (np.linalg.eigvalsh(calibration.soft_iron) > 0).all()
+    assert result.outcome == "right and trusted"
+    assert result.heading < 0.5

@@ -9,8 +9,10 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech, vech
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.model.descent import descended
+from magyc_gtsam.gap.model.descent import cost_of, descended
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
@@ -18,6 +20,7 @@ from magyc_gtsam.gap.rules import RULES
 _ROUNDS = 3  # of noise levels
 _SAME_NOISE = 3e-3  # change of the noise levels, relative, below which a round is the last
 _GRID = 81  # deviations that are tried
+_AS_GOOD = 1e-4  # of the cost, by which the descents to two images of one fit may end apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +121,27 @@ def refit(
         if np.abs(np.log(after / before)).max() < _SAME_NOISE:
             break
         twin, covariance, converged = descended(twin, farthest)
-    return Refit(twin, covariance, converged)
+    return _upright(Refit(twin, covariance, converged), farthest)
+
+
+def _upright(result: Refit, farthest: float) -> Refit:
+    """Return a fit whose soft iron mirrors no axis, if there is one at no higher cost.
+
+    −A and −g explain all readings as A and g do, and a vehicle that hardly tilts tells little of the sign along z.
+    All terms are added to the reading, and stay.
+    """
+    size, axes = np.linalg.eigh(unvech(result.model.parameters[:6]))
+    if size[0] > 0:
+        return result
+    parameters = result.model.parameters.copy()
+    parameters[:6] = vech(axes * np.abs(size) @ axes.T)
+    try:
+        other = Refit(
+            *descended(Twin.of(result.twin.problem, replace(result.model, parameters=parameters)), farthest)
+        )
+    except MagycError:
+        return result
+    return other if cost_of(other.twin) < (1 + _AS_GOOD) * cost_of(result.twin) else result
 
 
 def tempered(problem: Problem, result: Refit, short_term: SensorNoise) -> Refit:
