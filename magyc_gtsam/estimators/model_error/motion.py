@@ -8,14 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from magyc_gtsam.estimators.model_error.rest import moving
-from magyc_gtsam.estimators.model_error.turning import aligned, turn_rates
+from magyc_gtsam.estimators.model_error.turning import turn_rates, world_of
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.facts import strength_of
 from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.median import median
-from magyc_gtsam.factors.chain.rotations import Array, chained, cross
+from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.spline import Spline, crossed
 from magyc_gtsam.factors.chain.vech import unvech
 
@@ -74,14 +74,13 @@ class WindowMotion:
         soft = unvech(parameters[:6])
         rotation = fit.chain.rotation(parameters)
         bias_error = parameters[9:12] - windows.bias
-        drift = np.einsum("ijn,j->in", windows.lever, bias_error)  # of the world in each link
         g = fit.state.direction
         unit, change, rate = turn_rates(rotation, windows.rotation_rate, g)
         apart = np.maximum(np.diff(windows.time), 1e-9)
         return cls(
             time=windows.time,
             rotation=rotation,
-            world=aligned(chained(drift.T), g),
+            world=world_of(windows, parameters[9:12], g),
             unit=unit,
             change=change,
             rate=rate,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain import compiled
-from magyc_gtsam.factors.chain.rotations import Array, Spinor, cross, exponential_matrices, matrices
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
+from magyc_gtsam.factors.chain.rotations import Array, Spinor, chained, cross, exponential_matrices, matrices
 
 _LEAST = 1e-9  # lower bound of lengths of vectors
 
@@ -27,6 +28,19 @@ def turn_rates(rotation: Array, change: Array, direction: Array) -> tuple[Array,
         [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]
     )
     return np.einsum("ijn,jn->in", rotation, direction), np.einsum("ijn,jn->in", change, direction), rate
+
+
+def world_of(windows: FieldWindows, bias: Array, direction: Array) -> Array:
+    """Return rotations (3, 3, n) from the integrated world to the world by a bias, in which the field has one
+    direction.
+
+    Args:
+        windows: integrated at a bias near this one.
+        bias: (3,) rad/s.
+        direction: (3, n) of the field in the integrated world.
+    """
+    drift = np.einsum("ijn,j->in", windows.lever, bias - windows.bias)  # of the world in each link
+    return aligned(chained(drift.T), direction)
 
 
 def aligned(rotation: Spinor, direction: Array) -> Array:

@@ -12,9 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.turning import world_of
 from magyc_gtsam.factors.chain.chain_values import DELAY, ChainState, Reduced
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by, integrated
@@ -41,9 +43,16 @@ def window_signals(problem: Problem, gyroscope: Integrated, state: ChainState) -
         within=np.moveaxis(within, 0, -1),
         hard_iron=parameters[6:9],
         rate=gyroscope.mean_rate,
-        to_sensor=rotation,
+        to_sensor=to_sensor_of(gyroscope, state),
         soft_iron=soft,
     )
+
+
+def to_sensor_of(gyroscope: Integrated, state: ChainState) -> Array:
+    """Return the rotation (3, 3, n) from the world, in which the field has one direction, to the sensor."""
+    parameters, g = state
+    rotation = gyroscope.windows.rotation_at(parameters[9:12], float(parameters[DELAY]))
+    return np.einsum("ijn,kjn->ikn", rotation, world_of(gyroscope.windows, parameters[9:12], g))
 
 
 def _bend(bent: Sequence[Active], signals: Signals) -> LinearisedSensor:

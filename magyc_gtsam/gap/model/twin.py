@@ -28,10 +28,11 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
-from magyc_gtsam.gap.model.model_chain import build, window_signals
-from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem
+from magyc_gtsam.gap.model.model_chain import build, to_sensor_of, window_signals
+from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by
 
 _DIFFERENCE = 1e-3  # rad/s
+_BIAS_STEP = 1e-6  # rad/s, of a numerical derivative
 
 
 class Columns(NamedTuple):
@@ -156,9 +157,27 @@ class Twin:
         window = self.reduced.on_parameters / self.chain.window_scale
         link = np.zeros((PARAMETERS, 3, self.n - 1))
         link[9:12] = -cross(self.state.direction[:, None, :-1], self.chain.windows.lever).swapaxes(0, 1)
+        window[9:12] += self._turn_of_world
         parts = [self.whiten(Columns(window[free], link[free]))]
         parts += [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
         return np.concatenate(parts)
+
+    @cached_property
+    def _turn_of_world(self) -> Array | float:
+        """The derivative (3, 3, n) of the terms that are fixed in the world with respect to the bias.
+
+        The field shows how the integrated world is tilted, but not how it has turned about the field.
+        """
+        fixed = [t for t in self.model.on("magnetometer") if "to_sensor" in FORMS[t.name].needs]
+        if not fixed:
+            return 0.0
+        parameters = np.repeat(self.state.parameters[None], 3, axis=0)
+        parameters[:, 9:12] += _BIAS_STEP * np.eye(3)
+        before = added_by(fixed, self.windows)
+        turned = [to_sensor_of(self._integrated, self.state._replace(parameters=p)) for p in parameters]
+        return (
+            np.array([added_by(fixed, replace(self.windows, to_sensor=t)) - before for t in turned]) / _BIAS_STEP
+        )
 
     @cached_property
     def base_score_bias(self) -> Array:

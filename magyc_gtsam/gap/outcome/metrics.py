@@ -94,7 +94,7 @@ def open_loop(twin: Twin) -> OpenLoop:
     start = start[broken[target[start]] == broken[start]]
     target = target[start]
     soft = unvech(parameters[:6])
-    to_sensor = np.einsum("ij,jkn->ikn", soft, twin.windows.need("to_sensor")[..., target])
+    to_sensor = np.einsum("ij,jkn->ikn", soft, twin.chain.rotation(parameters)[..., target])
     predicted = np.einsum("ijn,jn->in", to_sensor, g[:, start]) + parameters[6:9, None]
     walked = np.cumsum(np.concatenate([[0.0], windows.link_time])) * twin.chain.noise.gyroscope**2
     g_start = g[:, start]
