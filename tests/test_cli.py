@@ -485,6 +485,17 @@ def test_apply_of_a_calibration_of_another_instrument(
     assert re.search(r"must not be trusted: apply: .* median strength of \d+ µT", finished.stderr)
 
 
+def test_apply_in_other_gyroscope_axes(result: tuple[Finished, Path], logs: Path, tmp_path: Path) -> None:
+    file, option = result[1] / "calibration.yaml", ("--gyroscope-axes", "y,-x,z")
+    turned = refused(run("apply", file, logs / "dive.mcap", *option, "-o", "out.csv", cwd=tmp_path))
+    assert "leave out --gyroscope-axes" in turned
+    own = mg.Calibration.load(file)
+    replace(own, configuration={**own.configuration, "gyroscope_axes": "y,-x,z"}).save(tmp_path / "turned.yaml")
+    unturned = refused(run("apply", "turned.yaml", logs / "dive.mcap", "-o", "out.csv", cwd=tmp_path))
+    assert "--gyroscope-axes 'y,-x,z'" in unturned
+    assert run("apply", "turned.yaml", logs / "dive.mcap", *option, "-o", "out.csv", cwd=tmp_path).returncode == 0
+
+
 def test_export(result: tuple[Finished, Path], tmp_path: Path) -> None:
     file = result[1] / "calibration.yaml"
     for target in ("ardupilot", "vectornav"):
