@@ -30,6 +30,7 @@ _OPTIONS = (
         "prior",
     ),
     *("hard_iron_walk", "soft_iron_walk", "misalignment", "gyroscope_scale", "noise", "force"),
+    "calibration",
 )
 _OF_TABLES = ("time", "time_unit", "rate", "columns")
 _OF_METHODS = ("clock_drift",)

@@ -10,6 +10,7 @@ from typing import overload
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import on_recording
 from magyc_gtsam.calibration.noted import as_mounted, noted
+from magyc_gtsam.estimators.smoother.clock_drift import restamped
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.effects import NAMES
@@ -68,7 +69,8 @@ def find_gap(
             of the instrument has one value in all, an effect of the place or the day a separate value in each.
         calibration: the initial model with its delay and terms. All of it is estimated again; parameters that the data
             contradict are in the sentence and in `Gap.moved`. A jump that it found in another recording counts as set
-            in, and other terms that are dated there are left out. None: the twelve parameters without delay.
+            in, and other terms that are dated there are left out. A `clock_drift` of its configuration is taken out of
+            the stamps. None: the twelve parameters without delay.
         simulated: a recording of the user's own simulator on the same or a similar motion, compared directly.
         candidates: names to choose from; None for the whole catalogue.
         progress: called with the share done, 0 to 1.
@@ -86,16 +88,20 @@ def find_gap(
     _check_types(recording, calibration, simulated)
     report(0.0)
     calibration, _ = on_recording(calibration, recording)
+    drift = 0.0 if calibration is None else calibration.configuration.get("clock_drift", 0.0)
     theirs, before = None, 0.0
     if simulated is not None:  # first, since an error in it would cost the result of the recording
         theirs, before = _side(simulated, names, "simulated: ", lambda done: report(0.5 * done)), 0.5
-    gap, result = _gap_and_named(recording, calibration, names, lambda done: report(before + (1 - before) * done))
+    gap, result = _gap_and_named(
+        restamped(recording, drift), calibration, names, lambda done: report(before + (1 - before) * done)
+    )
     if theirs is not None and result is not None:
         ours = _side(recording, names, "", lambda done: None) if calibration is not None else _side_of(gap, result)
         gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
     fitted = noted(gap.calibration, recordings=[fingerprint(recording)])
-    return replace(gap, calibration=as_mounted(fitted, recording), base=as_mounted(gap.base, recording))
+    base = as_mounted(gap.base, recording, drift)
+    return replace(gap, calibration=as_mounted(fitted, recording, drift), base=base)
 
 
 def _side(

@@ -16,6 +16,7 @@ from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.twin import Twin
 
 _STEPS = 8  # steps at most
+_STEPS_DOWN, _DOWN = 24, 0.1  # the same while each lowers the cost by this share, far from the minimum
 _SETTLED = 1e-2  # squared length of a step, in sigmas by the residuals of the model, below which the descent ends
 _REMEMBERED = 3  # earlier points of the acceleration
 _DAMPED = (1e-2, 1e-1, 1.0, 10.0)  # Levenberg–Marquardt damping that is tried where a step fails
@@ -40,7 +41,10 @@ def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
     """
     covariance = np.zeros((0, 0))
     path: list[tuple[Array, Array]] = []
-    for _ in range(_STEPS):
+    fallen = 0.0
+    for done in range(_STEPS_DOWN):
+        if done >= _STEPS and fallen < _DOWN:
+            break
         base = twin.base_columns
         residual = twin.residual().ravel()
         misfit = max(1.0, float(residual @ residual) / len(residual))
@@ -57,6 +61,7 @@ def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
         ahead = _advance(twin, _steps(path, information, gradient), _ROUNDING * misfit)
         if ahead is None:
             break
+        fallen = 1 - cost_of(ahead) / cost_of(twin)
         twin = ahead
     return twin, covariance, False
 

@@ -13,8 +13,14 @@ from magyc_gtsam.sensor_faults.full_scale import ClippedField
 from magyc_gtsam.sensor_faults.stuck_bit import StuckBit
 
 LOG_MORE = "log current, temperature and depth"
-APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"
-APART_IN_BRIEF = Doubt("the clocks of the two sensors drift apart", "run `mg.calibrate`, which follows the drift")
+APART = (
+    "the delay between the sensors changes with time, as where their clocks drift apart: `calibrate` says by how much, "
+    "and a calibration with `clock_drift` takes it out"
+)
+APART_IN_BRIEF = Doubt(
+    "the delay between the sensors changes with time, as where their clocks drift apart",
+    "begin with the calibration of `mg.calibrate`, by the `clock_drift` that it says (calibration=)",
+)
 _WITHOUT = "choose an interval without the jumps (start=, end=)"
 
 
