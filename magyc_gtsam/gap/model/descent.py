@@ -61,7 +61,7 @@ def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
         ahead = _advance(twin, _steps(path, information, gradient), _ROUNDING * misfit)
         if ahead is None:
             break
-        fallen = 1 - cost_of(ahead) / cost_of(twin)
+        fallen = 1 - _cost(ahead) / _cost(twin)
         twin = ahead
     return twin, covariance, False
 
@@ -81,12 +81,12 @@ def _advance(twin: Twin, steps: Iterator[Array], rounding: float) -> Twin | None
         except MagycError:
             continue  # the step is too long: the chain cannot be factorised
         # The step includes the score bias of the gyroscope's terms (`Twin.rate_score_bias`), which the cost does not.
-        allowed = cost_of(twin) + abs(float(twin.base_score_bias @ step)) + rounding
+        allowed = _cost(twin) + abs(float(twin.base_score_bias @ step)) + rounding
         for _ in range(_FOLLOWING if twin.model.bends else 0):
-            if not allowed < cost_of(ahead) < _ASTRAY * allowed:
+            if not allowed < _cost(ahead) < _ASTRAY * allowed:
                 break
             ahead = _followed(ahead) or ahead
-        if np.isfinite(ahead.reduced.cost) and cost_of(ahead) <= allowed:
+        if np.isfinite(ahead.reduced.cost) and _cost(ahead) <= allowed:
             return ahead
     return None
 
@@ -147,8 +147,7 @@ def prior_of(twin: Twin) -> tuple[Array, Array]:
     return np.concatenate(precision), np.concatenate(values)
 
 
-def cost_of(twin: Twin) -> float:
-    """Return the cost of a twin with the prior of its terms."""
+def _cost(twin: Twin) -> float:
     precision, value = prior_of(twin)
     return float(twin.reduced.cost + 0.5 * precision @ value**2)
 

@@ -12,7 +12,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech, vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.model.descent import cost_of, descended
+from magyc_gtsam.gap.model.descent import descended
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
@@ -20,7 +20,6 @@ from magyc_gtsam.gap.rules import RULES
 _ROUNDS = 3  # of noise levels
 _SAME_NOISE = 3e-3  # change of the noise levels, relative, below which a round is the last
 _GRID = 81  # deviations that are tried
-_AS_GOOD = 1e-4  # of the cost, by which the descents to two images of one fit may end apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +124,10 @@ def refit(
 
 
 def _upright(result: Refit, farthest: float) -> Refit:
-    """Return a fit whose soft iron mirrors no axis, if there is one at no higher cost.
+    """Return a fit whose soft iron mirrors no axis, as that of no instrument does, if there is one.
 
-    −A and −g explain all readings as A and g do, and a vehicle that hardly tilts tells little of the sign along z.
-    All terms are added to the reading, and stay.
+    −A and −g explain all readings as A and g do, and a vehicle that hardly tilts tells little of the sign along z. All
+    terms are added to the reading, and stay.
     """
     size, axes = np.linalg.eigh(unvech(result.model.parameters[:6]))
     if size[0] > 0:
@@ -141,7 +140,7 @@ def _upright(result: Refit, farthest: float) -> Refit:
         )
     except MagycError:
         return result
-    return other if cost_of(other.twin) < (1 + _AS_GOOD) * cost_of(result.twin) else result
+    return other if np.linalg.eigvalsh(unvech(other.model.parameters[:6]))[0] > 0 else result
 
 
 def tempered(problem: Problem, result: Refit, short_term: SensorNoise) -> Refit:
