@@ -14,11 +14,11 @@ from magyc_gtsam.estimators.model_error import alternating, samples
 from magyc_gtsam.estimators.model_error.components import log_likelihoods, principal
 from magyc_gtsam.estimators.model_error.moments import averaged_moments, propagated
 from magyc_gtsam.estimators.model_error.rest import moving
-from magyc_gtsam.estimators.model_error.turning import aligned, turn_rates
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.starts import from_gyroscope
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import chained
+from magyc_gtsam.factors.chain.turning import aligned, turn_rates
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.fingerprint import fingerprint
 from magyc_gtsam.sensor_faults.screen import _seen

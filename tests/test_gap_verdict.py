@@ -189,3 +189,15 @@ def test_a_mirrored_field_is_turned_back() -> None:
     assert (np.linalg.eigvalsh(calibration.soft_iron) > 0).all()
     assert result.outcome == "right and trusted"
     assert result.heading < 0.5
+
+
+def test_the_world_beside_steel_does_not_drift_with_the_gyroscope() -> None:
+    """Beside 20 µT for four minutes: the refit converged seldom, and the corrected strength varied by 0.6 µT."""
+    fault = FAULTS["stay-beside-steel"]
+    log = record("wide", 35068, fault, fault.strong, "stay-beside-steel").recording("steel")
+    gap = mg.find_gap(log, candidates=["local-anomaly"])
+    assert gap.calibration.trusted, gap.calibration.message
+    assert gap.names == ("local-anomaly",)
+    strength = np.linalg.norm(gap.calibration.apply(log), axis=1)
+    minutes = strength[: len(strength) // 600 * 600].reshape(-1, 600).mean(axis=1)
+    assert np.ptp(minutes) < 0.2e-6

@@ -6,9 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices
+from magyc_gtsam.factors.chain.turning import aligned
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
@@ -16,6 +18,7 @@ from magyc_gtsam.factors.effects.term import Term
 _PASSES = 20  # largest number of Newton steps; most inputs need three
 _TOLERANCE = 1e-12  # T and rad/s, largest residual of a solution
 _SLOPE_STEP = 1e-8  # T and rad/s, step of the numerical derivative
+_DRIFTS = 20.0  # s, in which the integrated world hardly drifts, and the field's noise is averaged to 0.1°
 _LEAST_SLOPE = 0.2  # smallest slope of the reading that can be inverted without amplifying noise too much
 
 
@@ -112,10 +115,25 @@ def corrected_field(
 
     iron = measured - hard_iron[:, None]
     field = inverse @ (_inverted(iron, added) if own else iron)
+    if "to_sensor" in needed:
+        signals = replace(signals, to_sensor=_without_drift(signals, field))
+        field = inverse @ _inverted(iron, added)
     for term in terms:
         if term.name == "misalignment":
             field = exponential_matrices(term.value[:, None])[:, :, 0] @ field
     return turn.T @ field
+
+
+def _without_drift(signals: Signals, field: Array) -> Array:
+    """Return the rotation (3, 3, n) to the sensor from the world in which the field (3, n) has one direction.
+
+    The gyroscope's noise turns the integrated world within minutes by what the field shows of it.
+    """
+    to_sensor, time = signals.need("to_sensor"), signals.time
+    rows = max(1, round(_DRIFTS * (len(time) - 1) / max(float(time[-1] - time[0]), 1e-9)))
+    direction = uniform_filter1d(np.einsum("ijn,in->jn", to_sensor, field), rows, axis=1, mode="nearest")
+    still = np.ones(len(time), complex), np.zeros(len(time), complex)
+    return np.einsum("ijn,kjn->ikn", to_sensor, aligned(still, direction))
 
 
 def _to_sensor(signals: Signals) -> Array:

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from magyc_gtsam.estimators.model_error.rest import moving
-from magyc_gtsam.estimators.model_error.turning import turn_rates, world_of
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.chain_values import DELAY
@@ -17,6 +16,7 @@ from magyc_gtsam.factors.chain.field_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.spline import Spline, crossed
+from magyc_gtsam.factors.chain.turning import turn_rates, world_of
 from magyc_gtsam.factors.chain.vech import unvech
 
 SLOW = (1, 7)  # half waves in the recording of a slow variation

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.turning import world_of
 from magyc_gtsam.factors.chain.chain_values import DELAY, ChainState, Reduced
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.turning import world_of
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by, integrated
