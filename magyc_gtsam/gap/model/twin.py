@@ -24,7 +24,7 @@ from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
 from magyc_gtsam.factors.chain.rate_columns import turned_by
 from magyc_gtsam.factors.chain.rotations import Array, cross, skew
-from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
@@ -32,7 +32,7 @@ from magyc_gtsam.gap.model.model_chain import build, to_sensor_of, window_signal
 from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by
 
 _DIFFERENCE = 1e-3  # rad/s
-_BIAS_STEP = 1e-6  # rad/s, of a numerical derivative
+_BIAS_STEP, _NEARBY = 1e-6, 1e-6  # steps of numerical derivatives: rad/s of the bias, relative of the soft iron
 
 
 class Columns(NamedTuple):
@@ -157,27 +157,32 @@ class Twin:
         window = self.reduced.on_parameters / self.chain.window_scale
         link = np.zeros((PARAMETERS, 3, self.n - 1))
         link[9:12] = -cross(self.state.direction[:, None, :-1], self.chain.windows.lever).swapaxes(0, 1)
-        window[9:12] += self._turn_of_world
+        window += self._of_world
         parts = [self.whiten(Columns(window[free], link[free]))]
         parts += [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
         return np.concatenate(parts)
 
     @cached_property
-    def _turn_of_world(self) -> Array | float:
-        """The derivative (3, 3, n) of the terms that are fixed in the world with respect to the bias.
+    def _of_world(self) -> Array | float:
+        """The derivative (13, 3, n) of the terms that are fixed in the world with respect to the parameters.
 
-        The field shows how the integrated world is tilted, but not how it has turned about the field.
+        Their fields pass through the soft iron. The gyroscope's bias turns the integrated world about the field; how it
+        is tilted against the world, the field shows.
         """
         fixed = [t for t in self.model.on("magnetometer") if "to_sensor" in FORMS[t.name].needs]
         if not fixed:
             return 0.0
-        parameters = np.repeat(self.state.parameters[None], 3, axis=0)
-        parameters[:, 9:12] += _BIAS_STEP * np.eye(3)
-        before = added_by(fixed, self.windows)
-        turned = [to_sensor_of(self._integrated, self.state._replace(parameters=p)) for p in parameters]
-        return (
-            np.array([added_by(fixed, replace(self.windows, to_sensor=t)) - before for t in turned]) / _BIAS_STEP
-        )
+        result = np.zeros((PARAMETERS, 3, self.n))
+        before, unit = added_by(fixed, self.windows), self.windows.need("soft_iron")
+        for index, step in enumerate(_NEARBY * np.linalg.norm(unit) * SYMMETRIC_UNITS):
+            result[index] = added_by(fixed, replace(self.windows, soft_iron=unit + step)) - before
+        result[:6] /= _NEARBY * np.linalg.norm(unit)
+        for index in range(9, 12):
+            parameters = self.state.parameters.copy()
+            parameters[index] += _BIAS_STEP
+            turned = to_sensor_of(self._integrated, self.state._replace(parameters=parameters))
+            result[index] = (added_by(fixed, replace(self.windows, to_sensor=turned)) - before) / _BIAS_STEP
+        return result
 
     @cached_property
     def base_score_bias(self) -> Array:
