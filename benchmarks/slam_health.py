@@ -17,7 +17,7 @@ import numpy as np
 from gtsam.symbol_shorthand import A, B, H, M, V, X
 
 from magyc_gtsam.factors import KeyframeField, NativeFactors, keyframe_field_factor, mounting_prior, vech
-from magyc_gtsam.factors.alignment import heading_sigma
+from magyc_gtsam.factors.heading_pull import heading_sigma
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 from vehicle import Vehicle
@@ -42,6 +42,7 @@ class Drive:
             vehicle.field,
         )  # measured, held by blocks
         self.heading, self.prior, self.fixes = heading, prior, fixes
+        self.renew_at = np.inf  # s, from which on blocks are on new variables of the calibration
 
     def start(self):
         graph, values = self.vehicle.start(np.radians(self.heading))
@@ -54,14 +55,17 @@ class Drive:
             others.push_back(factor)
         if not self.magnetometer:
             return others, values
-        others.addPriorVector(A(0), NO_IRON, ISOTROPIC(6, 0.3))
-        others.addPriorPoint3(H(0), np.zeros(3), ISOTROPIC(3, 1.0))
-        values.insert(A(0), NO_IRON)
-        values.insert(H(0), np.zeros(3))
+        self.add_calibration(others, values, 0)
         if self.mounting is not None:
             others.push_back(mounting_prior(M(0), None, self.mounting))
             values.insert(M(0), gtsam.Rot3())
         return others, values
+
+    def add_calibration(self, graph, values, node):
+        graph.addPriorVector(A(node), NO_IRON, ISOTROPIC(6, 0.3))
+        graph.addPriorPoint3(H(node), np.zeros(3), ISOTROPIC(3, 1.0))
+        values.insert(A(node), NO_IRON)
+        values.insert(H(node), np.zeros(3))
 
     def step(self, isam, k):
         vehicle, recording = self.vehicle, self.vehicle.recording
@@ -80,10 +84,13 @@ class Drive:
                 recording.time[k * 20],
                 bias=bias.gyroscope(),
             )
+            node = int(k >= self.renew_at)
+            if node and not isam.valueExists(A(1)):
+                self.add_calibration(graph, values, node)
             keys = {"gyro_bias_key": B(k)} | ({} if self.mounting is None else {"mounting_key": M(0)})
             graph.push_back(
                 keyframe_field_factor(
-                    X(k), A(0), H(0), block, 1e-6, field=self.world, field_unit=UNIT, **keys, **self.options
+                    X(k), A(node), H(node), block, 1e-6, field=self.world, field_unit=UNIT, **keys, **self.options
                 )
             )
         return graph, values

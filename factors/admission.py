@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
-from magyc_gtsam.factors.alignment import (
-    AlignmentLimits,
-    CoarseAlignment,
-    HeadingVerdict,
-    heading_sigma,
-    rotation_of,
-)
-from magyc_gtsam.factors.constraints import HELD, without_constraints
+from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
+from magyc_gtsam.factors.calibration_before import calibration_before
 from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.heading_pull import HeadingPull, heading_sigma, rotation_of
+from magyc_gtsam.factors.health import CHECK_AXES, Health, HealthStatus
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array, choose, vector
-
-_WEAK_PRIOR = np.diag(
-    np.r_[np.full(6, 1 / 0.5**2), np.full(3, 1.0)]
-)  # information on soft iron and on hard iron, the latter relative to the field
-_NO_IRON = np.r_[1.0, 0, 0, 1, 0, 1, 0, 0, 0]
+from magyc_gtsam.factors.variables import Array
 
 Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
 
@@ -43,9 +35,16 @@ class Admission:
 
     entering: list[Delivered]
     leaving: list[Delivered] = field(default_factory=list)
-    pull: gtsam.NonlinearFactor | None = None
+    pull: HeadingPull | None = None
     remove: list[int] = field(default_factory=list)
     turned: bool = False
+
+
+class Contradiction(NamedTuple):
+    """A heading of the blocks that the other factors contradict: its angle from theirs, rad, and since when, s."""
+
+    angle: float
+    since: float
 
 
 class AdmissionControl:
@@ -57,15 +56,21 @@ class AdmissionControl:
     Attributes:
         waiting: factors that wait.
         entered: whether blocks have entered.
-        pull: prior that turns the graph while they wait; `pull_slot` is its slot in the solver.
+        pull: prior that turns the graph while they wait; `pull_slot` is its slot in the solver, `since` when in s the
+            first such prior came.
+        contradiction: why no prior turns the graph any more, although the blocks' heading is far from its own; None
+            while the other factors do not contradict the blocks.
     """
 
     def __init__(self, limits: AlignmentLimits | None) -> None:
         self._alignment = None if limits is None else CoarseAlignment(limits)
         self.waiting: list[Delivered] = []
         self.entered = limits is None
-        self.pull: gtsam.NonlinearFactor | None = None
+        self.pull: HeadingPull | None = None
         self.pull_slot = -1
+        self.contradiction: Contradiction | None = None
+        self.since = float("nan")
+        self._resisted = 0  # consecutive blocks at which the other factors contradicted the prior
         self._values = gtsam.Values()
         self._prior: tuple[Array, Array] | None = None
 
@@ -83,19 +88,22 @@ class AdmissionControl:
         last = blocks[-1].details
         assert last is not None
         if self._prior is None:
-            self._prior = _calibration_before(view, others, last)
+            self._prior = calibration_before(view, others, last)
         if alignment.full and self.entered:
             self._alignment = None
             return Admission(fresh)
         point = view.values(alignment.needed)
         verdict = alignment.judge(point, *self._prior) if alignment.due else HeadingVerdict.UNDECIDED
-        if verdict is HeadingVerdict.NEAR:
-            admission = Admission(self.waiting + fresh, turned=not self.entered)
+        resisted = self._resists(view, last.block.time)
+        if verdict is HeadingVerdict.NEAR and not resisted:
+            admission = Admission(self.waiting + fresh, remove=self._without_pull(), turned=not self.entered)
             self._alignment, self.entered, self.waiting = None, True, []
-            if self.pull is not None:
-                admission.remove.append(self.pull_slot)
-                self.pull = None
+            self.contradiction = None
             return admission
+        if self.contradiction is not None and self.pull is not None:  # the graph is left to its other factors
+            self.waiting += blocks
+            entering = [each for each in fresh if each not in blocks]
+            return Admission(entering, remove=self._without_pull(), turned=True)
         if verdict is HeadingVerdict.FAR or (
             verdict is HeadingVerdict.APART and self.entered and alignment.apart >= alignment.limits.persistence
         ):
@@ -105,12 +113,14 @@ class AdmissionControl:
             admission = Admission([each for each in fresh if each not in blocks], leaving, turned=True)
             if verdict is HeadingVerdict.APART:  # the graph alone, or later blocks, will decide
                 return admission
-            if self.pull is not None:
-                admission.remove.append(self.pull_slot)
-            self.pull, self.pull_slot = alignment.pull(point, last.attitude_key), -1
-            admission.pull = self.pull
+            if self.contradiction is None:
+                self.since = last.block.time if self.pull is None else self.since
+                admission.remove += self._without_pull()
+                assert alignment.profile is not None
+                turn = alignment.profile.best, alignment.limits.pull
+                self.pull = admission.pull = HeadingPull.of(point, last.attitude_key, *turn)
             return admission
-        undecided = verdict is HeadingVerdict.UNDECIDED
+        undecided = verdict is HeadingVerdict.UNDECIDED and self.contradiction is None
         if undecided and not self.entered and self.pull is None and self._sure(view, point, last.attitude_key):
             self.entered = True
             entering, self.waiting = self.waiting + fresh, []
@@ -123,6 +133,26 @@ class AdmissionControl:
             return Admission(fresh)
         self.waiting += blocks
         return Admission([each for each in fresh if each not in blocks])
+
+    def _resists(self, view: View, time: float) -> bool:
+        """Return whether the other factors contradict the prior, which becomes a contradiction if it lasts."""
+        assert self._alignment is not None
+        profile = self._alignment.profile
+        if self.pull is None:
+            if self.contradiction is not None and profile is not None:
+                self.contradiction = self.contradiction._replace(angle=profile.best)
+            return False
+        angle = self.pull.resisted(view) if self.pull_slot >= 0 else None
+        self._resisted = 0 if angle is None else self._resisted + 1
+        if angle is not None and self._resisted >= self._alignment.limits.resisted:
+            self.contradiction = Contradiction(angle, time)
+        return angle is not None
+
+    def _without_pull(self) -> list[int]:
+        """Return the slot of the prior that turns the graph, which is to be removed, if there is one."""
+        slots = [] if self.pull is None else [self.pull_slot]
+        self.pull, self.pull_slot = None, -1
+        return slots
 
     def start(
         self,
@@ -143,7 +173,7 @@ class AdmissionControl:
                 alignment.add(each.details)
         if not len(alignment):
             return values
-        prior = _calibration_before(View(values), graph, alignment.last)
+        prior = calibration_before(View(values), graph, alignment.last)
         for _ in range(alignment.limits.persistence):
             verdict = alignment.judge(values, *prior)
         if verdict is not HeadingVerdict.FAR:
@@ -175,7 +205,9 @@ class AdmissionControl:
         assert self._alignment is not None
         turning = gtsam.NonlinearFactorGraph()
         turning.push_back(graph)
-        turning.push_back(self._alignment.pull(values, last.attitude_key))
+        assert self._alignment.profile is not None
+        turn = self._alignment.profile.best, self._alignment.limits.pull
+        turning.push_back(HeadingPull.of(values, last.attitude_key, *turn).factor)
         loose = gtsam.noiseModel.Isotropic.Sigma
         for key in {last.soft_iron_key, last.hard_iron_key} - set(turning.keyVector()):
             turning.addPriorVector(key, values.atVector(key), loose(values.atVector(key).size, 1.0))
@@ -188,6 +220,17 @@ class AdmissionControl:
         result = gtsam.Values(values)
         result.update(found)
         return result
+
+    @property
+    def health(self) -> Health:
+        """The health of a graph while blocks wait."""
+        if self.contradiction is not None:
+            angle, since = self.contradiction
+            text = f"heading by the blocks {abs(np.degrees(angle)):.0f}° from that of the other factors"
+            return Health(HealthStatus.INCONSISTENT, f"{text}, so that no block enters: {CHECK_AXES}", since)
+        if self.pull is not None:
+            return Health(HealthStatus.WAITING, "a prior turns the graph to the heading of the blocks", self.since)
+        return Health(HealthStatus.WAITING)
 
     @property
     def defers(self) -> bool:
@@ -228,50 +271,3 @@ class AdmissionControl:
         self.waiting = [each for each in self.waiting if all(map(view.exists, each.factor.keys()))]
         if self._alignment is not None:
             self._alignment.drop([key for key in self._alignment.needed if not view.exists(key)])
-
-
-def _calibration_before(
-    view: View, graph: gtsam.NonlinearFactorGraph, details: BlockDetails
-) -> tuple[Array, Array]:
-    """Return mean (9,) and information (9, 9) of soft and hard iron before any block, from the solver or from priors,
-    new ones or those of the solver; a weak prior for what has none.
-    """
-    keys = [details.soft_iron_key, details.hard_iron_key]
-    strength = 50e-6 if details.field is None else float(np.linalg.norm(details.field))
-    unit = np.r_[np.ones(6), np.full(3, details.field_unit / strength)]
-    weak = _WEAK_PRIOR * unit * unit[:, None]
-    point = view.values(keys)
-    start = np.concatenate(
-        [
-            choose("coarse alignment", vector(size), point, key)(point, key)[0]
-            for key, size in zip(keys, (6, 3), strict=True)
-        ]
-    )
-    covariance = None if any(map(view.new.exists, keys)) else view.covariance(keys)
-    if covariance is not None:
-        covariance += np.diag(np.where(np.diag(covariance) > 0, 0.0, (HELD / unit) ** 2))
-        known, gradient, seen = np.linalg.inv(covariance), np.zeros(9), np.full(9, True)
-    else:
-        priors = _priors(view, graph, keys)
-        held = set(priors.keyVector())
-        seen = np.repeat([key in held for key in keys], (6, 3))
-        known, gradient = np.zeros((9, 9)), np.zeros(9)
-        if held:
-            ordering = gtsam.Ordering()
-            for key in (each for each in keys if each in held):
-                ordering.push_back(key)
-            square, right = without_constraints(priors.linearize(point), keys, unit).hessian(ordering)
-            known[np.ix_(seen, seen)], gradient[seen] = square, right
-    information = weak * np.where(seen, 1e-3, 1.0)  # makes it regular beside priors
-    right = information @ _NO_IRON + gradient + known @ start
-    return np.linalg.solve(information + known, right), information + known
-
-
-def _priors(view: View, graph: gtsam.NonlinearFactorGraph, keys: Sequence[int]) -> gtsam.NonlinearFactorGraph:
-    """Return the factors on nothing but these keys, among new ones and those of the solver."""
-    priors = gtsam.NonlinearFactorGraph()
-    for factors in [graph] if isinstance(view.solver, gtsam.Values) else [graph, view.factors()]:
-        for i in range(factors.size()):
-            if factors.exists(i) and set(factors.at(i).keys()) <= set(keys):
-                priors.push_back(factors.at(i))
-    return view.placed(priors)

@@ -5,7 +5,8 @@ profile over the heading (`chain/heading_profile.py`) therefore gives the probab
 Blocks enter where the profile finds the heading near the truth, or where the profile is undecided and the graph's own
 heading is certain enough; until then they wait. Where profile and graph contradict each other for several blocks in a
 row, blocks that have entered are withdrawn. Where the profile finds the heading far off, a native prior on the
-rotation, which GTSAM relinearises by itself, turns the graph; the prior is removed once the graph has followed.
+rotation, which GTSAM relinearises by itself, turns the graph (`heading_pull.py`); the prior is removed once the graph
+has followed, or where the other factors contradict it.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.chain.heading_profile import HeadingProfile, block_rows, heading_profile, in_world
+from magyc_gtsam.factors.heading_pull import rotation_of
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
-from magyc_gtsam.factors.variables import Array, attitude, choose
+from magyc_gtsam.factors.variables import Array
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class AlignmentLimits:
             undecided.
         pull: rad, standard deviation about the vertical of the prior that turns the graph; about the other axes it is
             1 rad.
+        resisted: number of consecutive blocks at which the other factors contradict the prior until it is removed.
         blocks: largest number of blocks kept for the profile.
     """
 
@@ -51,6 +54,7 @@ class AlignmentLimits:
     persistence: int = 3
     confident: float = np.radians(15.0)
     pull: float = np.radians(2.0)
+    resisted: int = 10
     blocks: int = 200
 
 
@@ -167,65 +171,3 @@ class CoarseAlignment:
         if self._far >= limits.persistence:
             return HeadingVerdict.FAR
         return HeadingVerdict.APART if self.apart else HeadingVerdict.UNDECIDED
-
-    def pull(self, point: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
-        """Return a native prior that turns the attitude of `key` by the heading at the profile's maximum."""
-        assert self.profile is not None
-        turned = gtsam.Rot3.Rz(self.profile.best) * gtsam.Rot3(rotation_of(point, key))
-        axis = turned.matrix()[2]  # the world's vertical in the body frame
-        tight, loose = 1 / self.limits.pull**2, 1.0
-        noise = gtsam.noiseModel.Gaussian.Information(loose * np.eye(3) + (tight - loose) * np.outer(axis, axis))
-        kind = _kind(point, key)
-        if kind == "Pose3":
-            return gtsam.PoseRotationPrior3D(key, turned, noise)
-        if kind == "Rot3":
-            return gtsam.PriorFactorRot3(key, turned, noise)
-        flat = gtsam.noiseModel.Isotropic.Sigma(1, self.limits.pull)
-        if kind == "Pose2":
-            return gtsam.PoseRotationPrior2D(key, gtsam.Rot2(turned.yaw()), flat)
-        if kind == "Rot2":
-            return gtsam.PriorFactorRot2(key, gtsam.Rot2(turned.yaw()), flat)
-        state = point.atNavState(key)
-        loose_rest = np.zeros((9, 9))
-        loose_rest[:3, :3] = noise.information()
-        loose_rest[3:, 3:] = 1e-12 * np.eye(6)
-        return gtsam.PriorFactorNavState(
-            key,
-            gtsam.NavState(turned, state.position(), state.velocity()),
-            gtsam.noiseModel.Gaussian.Information(loose_rest),
-        )
-
-
-def rotation_of(point: gtsam.Values, key: int) -> Array:
-    """Return the rotation matrix (3, 3) of the attitude that a key holds."""
-    try:
-        pose: Array = point.atPose3(key).rotation().matrix()  # the usual case, without its tangent space
-        return pose
-    except RuntimeError:
-        return choose("coarse alignment", attitude, point, key)(point, key)[0].reshape(3, 3)
-
-
-def heading_axis(point: gtsam.Values, key: int) -> Array:
-    """Return the tangent vector of a rotation by 1 rad about the world's vertical."""
-    try:
-        rotation, columns = point.atPose3(key).rotation().matrix(), 6  # the usual case
-    except RuntimeError:
-        rotation, tangent = choose("coarse alignment", attitude, point, key)(point, key)
-        assert tangent is not None
-        columns = tangent.shape[1]
-        if _kind(point, key) in ("Rot2", "Pose2"):
-            return np.eye(columns)[-1]
-    axis = np.zeros(columns)
-    axis[:3] = rotation.reshape(3, 3)[2]
-    return axis
-
-
-def heading_sigma(point: gtsam.Values, key: int, covariance: Array) -> float:
-    """Return the standard deviation, in rad, of an attitude about the vertical, from its covariance."""
-    axis = heading_axis(point, key)
-    return float(np.sqrt(axis @ covariance @ axis))
-
-
-def _kind(point: gtsam.Values, key: int) -> str:
-    reader = choose("coarse alignment", attitude, point, key)
-    return next(name for name, each in attitude.items() if each is reader)

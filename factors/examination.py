@@ -8,11 +8,12 @@ import gtsam
 import numpy as np
 from scipy.special import chdtrc
 
-from magyc_gtsam.factors.alignment import heading_axis, rotation_of
+from magyc_gtsam.factors.block_fit import BlockFit, block_fit
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.delivered import Delivered
 from magyc_gtsam.factors.free_fit import free_fit, holds_field
-from magyc_gtsam.factors.health import BlockFit, HealthLimits, Monitor, block_fit
+from magyc_gtsam.factors.heading_pull import heading_axis, rotation_of
+from magyc_gtsam.factors.health import CHECK_AXES, HealthLimits, Monitor
 from magyc_gtsam.factors.held_field import FieldLimits, HeldField
 from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
@@ -23,9 +24,6 @@ _EVERY = 4  # blocks between two checks of the variables that priors hold
 _QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
 _QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
 _LEAST_SOFT_IRON = 0.1  # eigenvalue of a soft iron where the field is known; 0.8 to 1.2 in instruments
-_NEGATIVE = (
-    "check the axes of the world field (north-east-down or east-north-up), of the poses and of the mounting"
-)
 _NEARLY_ZERO = "the readings do not follow the field, as those of a dead, stuck or shielded sensor"
 _EARLY = 30  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
 
@@ -136,7 +134,7 @@ class Examiner:
                 text = (
                     f"soft iron {key_name(key)} with the eigenvalue {least:.2g}, which must be above {limit:g}: "
                 )
-                text += _NEGATIVE if least <= 0 else _NEARLY_ZERO
+                text += CHECK_AXES if least <= 0 else _NEARLY_ZERO
                 self.monitor.hold(f"soft iron {key}", least <= limit, text, details.block.time)
 
     def disturbed(self, delivered: list[Delivered]) -> list[Delivered]:
@@ -190,6 +188,7 @@ class Examiner:
                 point.atPoint3(details.hard_iron_key) * unit,
                 turn.T @ details.mean_turn @ _body_field(details, point),
                 details.mean_field,
+                (details.soft_iron_key, details.hard_iron_key),
             )
         )
         self._blocks += 1
@@ -222,12 +221,14 @@ class Examiner:
         mounting.conclude(mounting.certain and better < clear, fit.time)
         field.conclude(turned, fit.time)
         text = f"mounting {np.degrees(mounting.turn):.1f}° from what the blocks hold"
-        angle = f"field {np.degrees(field.turn):.1f}° about the vertical from the heading of the other factors"
+        # The solution is linear, so that of a large angle it says no more than that it is large.
+        turn = "more than 30" if field.turn > np.radians(30.0) else f"{np.degrees(field.turn):.1f}"
+        angle = f"field {turn}° about the vertical from the heading of the other factors"
         if field.wrong and mounting.wrong:
             text += f", or {angle}"
         self.monitor.hold("mounting held", mounting.wrong, text, mounting.since)
         alone = field.wrong and not mounting.wrong
-        self.monitor.hold("field held", alone, f"{angle}: check the declination", field.since)
+        self.monitor.hold("field held", alone, f"{angle}: check the declination and the axes", field.since)
 
     def _examine_held(self, view: View, key: int, details: BlockDetails) -> None:
         """Test whether the data have moved a mounting, a delay or a field from its prior by more than both allow."""

@@ -13,9 +13,9 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from magyc_gtsam.factors.alignment import heading_axis
 from magyc_gtsam.factors.constraints import exact_covariance
 from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.heading_pull import heading_axis
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array
@@ -57,7 +57,9 @@ def free_fit(view: View, delivered: Sequence[Delivered], priors: tuple[float, fl
     blocks = [
         each
         for each in delivered
-        if each.details is not None and (each.details.freed or holds_field(each.details))
+        if each.details is not None
+        and (each.details.freed or holds_field(each.details))
+        and all(map(view.exists, each.factor.keys()))  # others have left a fixed-lag smoother in this update
     ]
     if not blocks:
         return None

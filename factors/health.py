@@ -1,11 +1,4 @@
-"""Health of the blocks in a graph: a normalised innovation squared (NIS) per block, and the verdict derived from it.
-
-With the whitened residual r and Jacobian J of a block at the estimate that includes it, and the joint covariance P of
-its keys, the innovation against all other factors satisfies S⁻¹ν = r with S⁻¹ = I − J P Jᵀ; the NIS is νᵀS⁻¹ν. Its
-part in the range of J is what the graph can contradict (a disturbance, a step, a wrong mounting); the rest is the
-scatter inside the block. The offset of the hard iron that explains a block best, against all other factors, follows
-from the same quantities.
-"""
+"""Health of the blocks in a graph: the verdict that follows from the fits of successive blocks (`block_fit.py`)."""
 
 from __future__ import annotations
 
@@ -17,10 +10,12 @@ from statistics import median
 import numpy as np
 from scipy.special import chdtrc
 
-from magyc_gtsam.factors.variables import Array
+from magyc_gtsam.factors.block_fit import BlockFit
 
+CHECK_AXES = (
+    "check the axes of the world field (north-east-down or east-north-up), of the poses and of the mounting"
+)
 _SCATTERED = 10  # number of latest blocks whose median scatter is judged
-_SEEN = 0.02  # share of a direction's variance that is not the block's own; below it the graph cannot contradict
 
 
 @dataclass(frozen=True)
@@ -66,38 +61,6 @@ class HealthStatus(str, Enum):
         return str(self.value)
 
 
-@dataclass(frozen=True, eq=False)
-class BlockFit:
-    """The fit of one block to the rest of the graph.
-
-    Attributes:
-        time: s, mean stamp of its samples.
-        nis: normalised innovation squared in the range of the block's Jacobian.
-        freedom: degrees of freedom of `nis`.
-        scatter: root mean square of the remaining whitened residual, 1 where the noise is as stated.
-        offset: (3,) T, change of the hard iron that would explain this block.
-        offset_sigma: T, root of the trace of the covariance of `offset`.
-        soft_iron, hard_iron: (3, 3), (3,) T, calibration at which the block was judged.
-        seen, field: (3,) T, means over its samples of the world's field in the sensor's frame, and of the readings.
-    """
-
-    time: float
-    nis: float
-    freedom: int
-    scatter: float
-    offset: Array
-    offset_sigma: float
-    soft_iron: Array
-    hard_iron: Array
-    seen: Array
-    field: Array
-
-    def offset_from(self, reference: BlockFit) -> Array:
-        """Return the mean deviation (3,) in T of the block's readings from another block's calibration."""
-        result: Array = self.field - reference.soft_iron @ self.seen - reference.hard_iron
-        return result
-
-
 @dataclass(frozen=True)
 class Health:
     """The verdict on the magnetometer in the graph.
@@ -118,39 +81,6 @@ class Health:
         return f"{self.status}: {self.by} since {self.since:.1f} s" if self.by else str(self.status)
 
 
-def block_fit(
-    information: Array, gradient: Array, square: float, covariance: Array, rows: int, hard_iron: slice
-) -> tuple[float, int, float, Array, Array]:
-    """Return the NIS of one block, its degrees of freedom, the scatter, the offset (3,) and the offset's covariance.
-
-    Args:
-        information: (p, p) JᵀJ at the estimate.
-        gradient: (p,) −Jᵀr at the estimate.
-        square: rᵀr at the estimate.
-        covariance: (p, p) P.
-        rows: number of rows of r before any compression.
-        hard_iron: the columns of the hard iron h.
-    """
-    used = np.flatnonzero(
-        np.diag(information)
-    )  # without columns that no block depends on: a pose's translation, the accelerometer's bias
-    weight, direction = np.linalg.eigh(information[used][:, used])
-    kept = weight > 1e-9 * weight[-1]
-    root = direction[:, kept] * np.sqrt(weight[kept])
-    along = gradient[used] @ root / weight[kept]
-    scatter = np.sqrt(max(square - float(along @ along), 0.0) / max(rows - len(along), 1))
-    share = np.eye(len(along)) - root.T @ covariance[used][:, used] @ root
-    seen, axes = np.linalg.eigh(0.5 * (share + share.T))
-    clear = seen > _SEEN
-    projected = axes.T[clear] @ along
-    nis = float(np.sum(projected**2 / seen[clear]))
-    on_offset = information[:, hard_iron]
-    curvature = information[hard_iron, hard_iron] - on_offset.T @ covariance @ on_offset
-    bend, sides = np.linalg.eigh(curvature)  # eigenvalues for the pseudo-inverse
-    spread = (sides * np.divide(1.0, bend, out=np.zeros(3), where=bend > 1e-6 * bend[-1])) @ sides.T
-    return nis, int(clear.sum()), float(scatter), spread @ gradient[hard_iron], spread
-
-
 class _Sums:
     """NIS and degrees of freedom summed over the last blocks."""
 
@@ -167,6 +97,15 @@ class _Sums:
         self._last.append(fit)
         self.nis += fit.nis
         self.freedom += fit.freedom
+
+    def without(self, first: float, stop: float) -> _Sums:
+        """Return the sums without the blocks from `first` to before `stop`, in s."""
+        assert self._last.maxlen is not None
+        result = _Sums(self._last.maxlen)
+        for fit in self._last:
+            if not first <= fit.time < stop:
+                result.add(fit)
+        return result
 
     def __len__(self) -> int:
         return len(self._last)
@@ -188,13 +127,14 @@ class Monitor:
 
     Attributes:
         fits: fits of the last blocks.
-        over: (first, last) in s of disturbances that have ended and whose blocks are still in the graph.
+        over: (first, last) in s of disturbances that have ended, and of steps after which new variables of the
+            calibration have begun, whose blocks are still in the graph.
     """
 
     def __init__(self, limits: HealthLimits) -> None:
         self.limits = limits
         self.fits: deque[BlockFit] = deque(maxlen=1000)
-        self._sums = _Sums(limits.window), _Sums(limits.long)
+        self._sums: tuple[_Sums, ...] = _Sums(limits.window), _Sums(limits.long)
         self._reference: BlockFit | None = None  # the last block before an offset began
         self._began: float | None = None
         self._size = np.zeros(3)
@@ -216,28 +156,38 @@ class Monitor:
         self.fits.append(fit)
         for sums in self._sums:
             sums.add(fit)
+        alone = _Sums(1)
+        alone.add(fit)
+        unlikely = alone.unlikely(limits.tolerance[0], limits.suspect)
         if self._began is None:
-            alone = _Sums(1)
-            alone.add(fit)
-            unlikely = any(sums.unlikely(limits.tolerance[0], limits.suspect) for sums in (self._sums[0], alone))
+            unlikely |= self._sums[0].unlikely(limits.tolerance[0], limits.suspect)
             if unlikely and float(np.linalg.norm(fit.offset)) > max(limits.least, 4 * fit.offset_sigma):
                 self._began = fit.time
                 self._reference = before
                 self._size = fit.offset_from(before)
                 self._named, self._since = "", fit.time
             return
+        if fit.calibration != before.calibration and not unlikely:  # otherwise a walk ties it to the one before
+            self._named = ""
+            self._end(self._began, fit.time)
+            return
         assert self._reference is not None
         offset = fit.offset_from(self._reference)
         size = float(np.linalg.norm(self._size))
         if float(offset @ self._size) / size**2 < limits.returned:
             self._named = f"disturbance of {size * 1e6:.1f} µT for {fit.time - self._began:.0f} s"
-            self.over.append((self._began, fit.time))
-            self._ended, self._began = fit.time, None
+            self._end(self._began, fit.time)
             return
         lasted = fit.time - self._began
         self._size = self._size + 0.3 * (offset - self._size)
         if lasted >= limits.hold:
             self._named = f"step of the hard iron of {np.linalg.norm(self._size) * 1e6:.1f} µT"
+
+    def _end(self, began: float, time: float) -> None:
+        """End the present offset, whose blocks then leave the graph and no longer count."""
+        self.over.append((began, time))
+        self._ended, self._began = time, None
+        self._sums = tuple(sums.without(began, time) for sums in self._sums)
 
     def hold(self, name: str, moved: bool, text: str, time: float) -> None:
         """Record whether a quantity contradicts what is held of it, by a prior, by the blocks or by physics, and how to

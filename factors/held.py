@@ -20,8 +20,9 @@ class HeldLimits:
         excess: factor by which squared innovations may exceed their expectation, for a model that is only nearly
             right.
         perhaps: evidence above which the graph is soon solved with the angles free.
-        first: number of blocks at which it is solved in any case: 60 blocks of 2 s determine a mounting to 0.16°, and
-            beside a position every second the field's heading to 0.1 to 0.3°.
+        first: number of blocks at which it is solved in any case, and again at three times as many: 20 blocks show a
+            field that is 30° off; 60 of 2 s determine a mounting to 0.16°, and beside a position every second the
+            field's heading to 0.1 to 0.3°.
         evidence: evidence of that solution above which the angles count as wrong.
         growth: factors of the number of blocks between two solutions, with and without such evidence.
     """
@@ -30,7 +31,7 @@ class HeldLimits:
     least: float
     excess: float = 1.3
     perhaps: float = 10.0
-    first: int = 60
+    first: int = 20
     evidence: float = 1e5
     growth: tuple[float, float] = (1.25, 3.0)
 

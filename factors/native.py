@@ -15,7 +15,7 @@ A batch: `graph, values = native.solve(graph, values)`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gtsam
@@ -23,10 +23,11 @@ import gtsam
 from magyc_gtsam.factors.admission import AdmissionControl, Optimize
 from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.factors.batch import best_solution, minimum
+from magyc_gtsam.factors.block_fit import BlockFit
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.examination import Examiner
-from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, HealthStatus
+from magyc_gtsam.factors.health import Health, HealthLimits, HealthStatus
 from magyc_gtsam.factors.intake import NotSaved, expect_options, expect_problem, expect_values, unchanged_on_error
 from magyc_gtsam.factors.one_sensor import expect_one_sensor
 from magyc_gtsam.factors.one_thread import one_thread
@@ -91,9 +92,9 @@ class NativeFactors(NotSaved):
     @property
     def health(self) -> Health:
         """The agreement of the blocks with the rest of the graph, and the cause of any contradiction."""
-        if self._examiner is None or self.waiting:
-            return Health(HealthStatus.WAITING if self.waiting else HealthStatus.CONSISTENT)
-        return self._examiner.monitor.health
+        if self.waiting:
+            return self._admission.health
+        return Health(HealthStatus.CONSISTENT) if self._examiner is None else self._examiner.monitor.health
 
     @property
     def mounting_error(self) -> Array | None:
@@ -252,13 +253,13 @@ class NativeFactors(NotSaved):
                 each.make(view)
             self._delivered += entering
             placed = entering + renewed
-            pull = [] if admission.pull is None else [admission.pull]
+            pull = [] if admission.pull is None else [admission.pull.factor]
             pushed = with_factors(new.others, [*pull, *(each.native for each in placed)])
             last = eliminated_last(new.others, entering, renewed)
             added = self._admission.covered(view.new, pushed)
             result = update_solver(solver, pushed, added, timestamps, remove, last)
         if pushed is not new.others:
-            self._place(solver, result, placed, admission.pull)
+            self._place(solver, result, placed, pull)
         if examiner is not None:
             examiner.judge_late(View(solver), self._delivered, settled=not self._staleness.unsettled)
             if entering and self._admission.entered:
@@ -287,12 +288,11 @@ class NativeFactors(NotSaved):
         return renewed
 
     def _place(
-        self, solver: Solver, result: Any, placed: list[Delivered], pull: gtsam.NonlinearFactor | None = None
+        self, solver: Solver, result: Any, placed: list[Delivered], pull: Sequence[gtsam.NonlinearFactor] = ()
     ) -> None:
         """Store the slots of the factors that were pushed last: the prior that turns the graph, and the quadratics."""
-        turning = [] if pull is None else [pull]
-        slots = new_slots(solver, result, turning + [each.native for each in placed])
-        if pull is not None:
+        slots = new_slots(solver, result, [*pull, *(each.native for each in placed)])
+        if pull:
             self._admission.placed(slots.pop(0))
         for each, slot in zip(placed, slots, strict=True):
             each.slot = slot

@@ -75,6 +75,36 @@ def feed(node: Any, part: list[tuple[str, Any]]) -> list[np.ndarray]:
     return calibrated
 
 
+def earlier(part: list[tuple[str, Any]], seconds: int) -> list[tuple[str, Any]]:
+    result = copy.deepcopy(part)
+    for stamp in {id(message.header.stamp): message.header.stamp for _, message in result}.values():
+        stamp.sec -= seconds
+    return result
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+def test_it_begins_anew_where_the_clock_was_set_back(
+    restarted: bool, example: ModuleType, simulation: mg.Simulation, tmp_path: Path
+) -> None:
+    """In a run, or before one that goes on from a saved state; found by the timer or by a message."""
+    said: list[str] = []
+    arguments = (tmp_path / "cal.yaml", tmp_path / "state", "magyc-ifg", said.append)
+    node, everything = example.OnlineNode(*arguments), messages(simulation)
+    feed(node, everything)
+    assert node.on_timer()["converged"]
+    before = node.calibration
+    if restarted:
+        node = example.OnlineNode(*arguments)
+    set_back = earlier(everything, 1000)
+    feed(node, set_back[:40])
+    node.on_timer()
+    assert sum("time goes back" in each and each.endswith("a new run begins") for each in said) == 1
+    assert np.array_equal(node.calibration.hard_iron, before.hard_iron)  # the field is calibrated as before
+    feed(node, set_back[40:])
+    assert node.on_timer()["converged"]
+    assert node.calibration.hard_iron == pytest.approx(simulation.truth.hard_iron, abs=2e-6)
+
+
 def test_it_calibrates_says_what_is_missing_and_goes_on_after_a_kill(
     example: ModuleType, simulation: mg.Simulation, tmp_path: Path
 ) -> None:

@@ -67,7 +67,7 @@ def test_a_declination_that_the_other_factors_contradict_is_named(turn, free):
     assert native.health.status == "inconsistent"
     assert native.health.by.startswith("field ")
     assert native.health.by.endswith(
-        "about the vertical from the heading of the other factors: check the declination"
+        "about the vertical from the heading of the other factors: check the declination and the axes"
     )
     assert np.degrees(native.field_error) == pytest.approx(-turn, abs=0.6)
     assert native.mounting_error is None

@@ -100,6 +100,29 @@ def test_a_step_of_the_hard_iron_is_named_with_its_size():
     assert 3.0 < float(health.by.split()[-2]) < 6.5
 
 
+def test_after_a_step_new_variables_of_the_calibration_begin_without_the_blocks_since():
+    """What the table of the docs says; before, the old step was reported for ever and its blocks stayed."""
+    drive = Drive(22, duration=170.05)
+    drive.field[drive.vehicle.recording.time > DISTURBED] += [3e-6, -3e-6, 2.6e-6]
+    drive.renew_at = 104.0
+    drive.run()
+    assert str(drive.native.health) == "consistent"
+    assert drive.native.withdrawn == 14
+    assert drive.heading_error < 0.5
+
+
+@pytest.mark.parametrize("turned", [90.0, 150.0])
+def test_a_field_in_other_axes_does_not_turn_a_graph_that_contradicts_it(turned):
+    """It was "waiting" for ever, with a prior on the heading, or "consistent" at a heading that was 90° off."""
+    drive = Drive(32, duration=90.05)
+    drive.world = gtsam.Rot3.Rz(np.radians(turned)).rotate(drive.world)
+    health = drive.run().native.health
+    assert health.status == "inconsistent"
+    assert "from that of the other factors" in health.by or "from the heading of the other factors" in health.by
+    assert (turned == 150.0) == (drive.heading_error < 3)  # no block enters, and the prior is withdrawn
+    assert (turned == 150.0) == (drive.native.waiting > 40)
+
+
 def test_quadratics_that_stay_stale_do_not_postpone_the_judging_for_ever():
     class Stale:
         native, details = None, None

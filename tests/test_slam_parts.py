@@ -18,10 +18,11 @@ from magyc_gtsam.factors import (
     unvech,
 )
 from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
+from magyc_gtsam.factors.block_fit import BlockFit, block_fit
 from magyc_gtsam.factors.chain.heading_profile import HeadingProfile, block_rows, heading_profile, in_world
 from magyc_gtsam.factors.delivered import sorted_factors
 from magyc_gtsam.factors.guard import factor_details
-from magyc_gtsam.factors.health import BlockFit, Monitor, block_fit
+from magyc_gtsam.factors.health import Monitor
 from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.kernels import narrowed
 from magyc_gtsam.factors.solver import View, new_slots, update_solver
@@ -71,10 +72,10 @@ def test_the_offset_of_a_block_is_what_the_others_do_not_know():
     assert (np.linalg.eigvalsh(spread) > 0).all()
 
 
-def fit(time, offset=0.0, nis=3.0):
+def fit(time, offset=0.0, nis=3.0, calibration=(0, 1)):
     shift = np.array([offset, 0.0, 0.0])
     seen = np.array([2e-5, 1e-5, -3e-5])
-    return BlockFit(time, nis, 3, 1.0, shift, 1e-7, np.eye(3), np.zeros(3), seen, seen + shift)
+    return BlockFit(time, nis, 3, 1.0, shift, 1e-7, np.eye(3), np.zeros(3), seen, seen + shift, calibration)
 
 
 def test_the_words_of_a_disturbance_a_step_and_noise():
@@ -94,6 +95,11 @@ def test_the_words_of_a_disturbance_a_step_and_noise():
     for k in range(20):
         monitor.add(fit(500.0 + 2 * k, 5e-6, 100.0))
     assert str(monitor.health) == "inconsistent: step of the hard iron of 5.0 µT since 500.0 s"
+    monitor.add(fit(540.0, 5e-6, 100.0, calibration=(2, 3)))  # tied to the one before by a walk
+    assert monitor.health.by == "step of the hard iron of 5.0 µT"
+    monitor.add(fit(542.0, 5e-6, calibration=(4, 5)))  # free
+    assert monitor.over == [(20.0, 24.0), (500.0, 542.0)]
+    assert str(monitor.health) == "consistent"
     noisy = Monitor(HealthLimits())
     for k in range(10):
         each = fit(2.0 * k)

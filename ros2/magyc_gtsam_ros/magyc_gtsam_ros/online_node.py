@@ -27,6 +27,8 @@ from typing import Any
 import numpy as np
 
 import magyc_gtsam as mg
+from magyc_gtsam.online import Progress
+from magyc_gtsam.online.intake import ClockSetBack
 
 
 class OnlineNode:
@@ -42,7 +44,7 @@ class OnlineNode:
     def __init__(
         self, output: Path, state: Path | None = None, method: str = "smoother", say: Any = print
     ) -> None:
-        self.output, self.state, self.say = output, state, say
+        self.output, self.state, self.say, self._method = output, state, say, method
         resumed = state is not None and state.exists()
         self.online = mg.OnlineCalibrator.load(state) if resumed else mg.OnlineCalibrator(method)
         self.calibration = self.online.calibration if self.online.converged else None
@@ -72,7 +74,7 @@ class OnlineNode:
     def stop(self) -> str:
         """Learn no more; the field is still calibrated, and the estimate kept."""
         self.learning = False
-        return f"stopped: {self.online.progress.sentence}"
+        return f"stopped: {self.progress.sentence}"
 
     def save(self) -> str:
         """Write the files now."""
@@ -81,18 +83,34 @@ class OnlineNode:
 
     def diagnosis(self) -> tuple[bool, str, dict[str, str]]:
         """(whether all is well, one sentence, values) for diagnostic_msgs."""
-        progress, calibration = self.online.progress, self.online.calibration
+        progress, calibration = self.progress, self.online.calibration
         values = {"coverage": f"{progress.coverage:.0%}", "duration": f"{progress.duration:.0f} s"}
         if calibration is not None:
             values["hard iron"] = ", ".join(f"{1e6 * value:.2f}" for value in calibration.hard_iron) + " µT"
         return progress.converged, progress.sentence if self.learning else f"stopped: {progress.sentence}", values
+
+    @property
+    def progress(self) -> Progress:
+        """How far the estimate is; that of a new run where the last samples show that the clock was set back."""
+        try:
+            return self.online.progress
+        except ClockSetBack as problem:
+            self._begin_anew(problem)
+            return self.online.progress
+
+    def _begin_anew(self, problem: ClockSetBack) -> None:
+        """Begin a new run, as after a step of the clock; the field is calibrated as before until it has converged."""
+        self.say(f"{problem}; a new run begins")
+        self.online = mg.OnlineCalibrator(self._method)
 
     def _update(self, stamp: float, **sample: np.ndarray) -> None:
         if not self.learning:
             return
         try:
             self.online.update(stamp, **sample)
-        except mg.MagycError as problem:  # a clock that was set back, a driver in another unit
+        except ClockSetBack as problem:
+            self._begin_anew(problem)
+        except mg.MagycError as problem:  # a driver in another unit
             kind = re.sub(r"[\d.]+", "", str(problem))
             if kind not in self._problems:  # once, not at every message
                 self._problems.add(kind)
@@ -103,7 +121,7 @@ class OnlineNode:
 
         Looking can cost a fit of all data so far, so it is not done at every message.
         """
-        progress, calibration = self.online.progress, self.online.calibration
+        progress, calibration = self.progress, self.online.calibration
         if self.state is not None:
             self.online.save(self.state)
         if calibration is not None:
