@@ -98,8 +98,11 @@ class Examiner:
         """Examine blocks, and what they hold where that is due."""
         for each in blocks:
             self._examine(each, view, self.mounting)
-        if (self.mounting.due or self.field.due) and not (self.monitor.open or self.monitor.over):
-            self._free(view, delivered)
+        if not (self.monitor.open or self.monitor.over):
+            if self.mounting.due or self.field.due:
+                self._free(view, delivered)
+            elif self.mounting.early or self.field.early:
+                self._free(view, delivered, gross=True)
 
     def settling(self) -> None:
         """Leave the next blocks unjudged, until the quadratics are renewed."""
@@ -204,14 +207,16 @@ class Examiner:
             step.insert(key, part)
         return point.retract(step), gtsam.Rot3.Expmap(mean).matrix()
 
-    def _free(self, view: View, delivered: list[Delivered]) -> None:
-        """Solve the graph with mounting and field free and report the verdict to the monitor.
+    def _free(self, view: View, delivered: list[Delivered], *, gross: bool = False) -> None:
+        """Solve the graph with mounting and field free and report the verdict to the monitor, or of large angles only.
 
         Where one explains the data far better than the other, only that one is named. A field turned by little is named
         only in place of a mounting.
         """
         mounting, field = self.mounting, self.field
         fit = free_fit(view, delivered, (mounting.limits.prior, field.limits.prior))
+        if gross and not (fit is not None and (mounting.gross_by(fit) or field.gross_by(fit))):
+            return
         mounting.solved(fit)
         field.solved(fit)
         if fit is None:
@@ -222,7 +227,7 @@ class Examiner:
         field.conclude(turned, fit.time)
         text = f"mounting {np.degrees(mounting.turn):.1f}° from what the blocks hold"
         # The solution is linear, so that of a large angle it says no more than that it is large.
-        turn = "more than 30" if field.turn > np.radians(30.0) else f"{np.degrees(field.turn):.1f}"
+        turn = "more than 30" if field.turn > field.limits.gross else f"{np.degrees(field.turn):.1f}"
         angle = f"field {turn}° about the vertical from the heading of the other factors"
         if field.wrong and mounting.wrong:
             text += f", or {angle}"

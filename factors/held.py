@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 
+from magyc_gtsam.factors.free_fit import FreeFit
 from magyc_gtsam.factors.variables import Array
 
 
@@ -20,9 +22,11 @@ class HeldLimits:
         excess: factor by which squared innovations may exceed their expectation, for a model that is only nearly
             right.
         perhaps: evidence above which the graph is soon solved with the angles free.
-        first: number of blocks at which it is solved in any case, and again at three times as many: 20 blocks show a
-            field that is 30° off; 60 of 2 s determine a mounting to 0.16°, and beside a position every second the
-            field's heading to 0.1 to 0.3°.
+        first: number of blocks at which it is solved in any case: 60 blocks of 2 s determine a mounting to 0.16°, and
+            beside a position every second the field's heading to 0.1 to 0.3°.
+        early: number of blocks at which it is solved for a `gross` angle: positions whose errors last for half a minute
+            turned the field's heading by 7° at 30 blocks.
+        gross: rad.
         evidence: evidence of that solution above which the angles count as wrong.
         growth: factors of the number of blocks between two solutions, with and without such evidence.
     """
@@ -31,7 +35,9 @@ class HeldLimits:
     least: float
     excess: float = 1.3
     perhaps: float = 10.0
-    first: int = 20
+    first: int = 60
+    early: int = 20
+    gross: float = math.radians(30.0)
     evidence: float = 1e5
     growth: tuple[float, float] = (1.25, 3.0)
 
@@ -50,7 +56,7 @@ class Held:
         self._limits = limits
         self.blocks, self.wrong, self.since = 0, False, math.nan
         self._information, self._score = np.zeros((count, count)), np.zeros(count)
-        self._next, self._anyway = 0.0, float(limits.first)
+        self._next, self._anyway, self._early = 0.0, float(limits.first), float(limits.early)
 
     @property
     def covariance(self) -> Array:
@@ -88,9 +94,26 @@ class Held:
         return self.blocks >= (self._next if doubtful else self._anyway)
 
     @property
+    def early(self) -> bool:
+        """Whether to solve the graph for a large angle; asked once."""
+        due = self.blocks >= self._early
+        self._early = math.inf if due else self._early
+        return due
+
+    @property
     def error(self) -> Array | None:
         """Mean (k,) of the angles in rad; None where they are not wrong."""
         return self.mean if self.wrong else None
+
+    def solved(self, fit: FreeFit | None) -> None:
+        """Take over a solution with the angles free; None where there is none."""
+        raise NotImplementedError
+
+    def gross_by(self, fit: FreeFit) -> bool:
+        """Return whether a solution, which is not taken over, finds a large angle."""
+        found = copy(self)
+        found.solved(fit)
+        return found.certain and found.turn > self._limits.gross
 
     def tried(self) -> None:
         """Record that the graph was solved with the angles free, whether there is a solution or not."""
