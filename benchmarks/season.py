@@ -30,6 +30,7 @@ class SeasonPlan:
         walk: random walk of the hard iron, µT per √day.
         jumps: number of jumps of the hard iron, at least three dives apart.
         jump: length of each jump, µT.
+        refit: relative deviation by which the soft iron changes for good at each jump.
         wrecks: number of dives near a wreck, with a soft iron off by some 3 % and a hard iron by some 5 µT per axis.
         wrong_units: number of dives that were refused for their unit.
         bias_scatter: scatter of the gyroscope bias from dive to dive, mrad/s.
@@ -41,6 +42,7 @@ class SeasonPlan:
     walk: float = 0.3
     jumps: int = 2
     jump: float = 4.0
+    refit: float = 0.0
     wrecks: int = 1
     wrong_units: int = 1
     bias_scatter: float = 1.0
@@ -50,8 +52,9 @@ class SeasonPlan:
 
 @dataclass(frozen=True, eq=False)
 class Season:
-    """The dives and the truth: shape (5,), hard iron (k, 3) T and of the next dive, mean bias (3,) rad/s, and the
-    dives of each event."""
+    """The dives and the truth: shape (5,) after the last dive, hard iron (k, 3) T and of the next dive, mean bias (3,)
+    rad/s, and the dives of each event.
+    """
 
     factors: tuple[LogFactor, ...]
     shape: Array
@@ -90,6 +93,8 @@ def draw_season(seed: int, dives: Sequence[LogFactor], plan: SeasonPlan | None =
         if k in jumps:
             direction = rng.normal(size=3)
             hard_iron = hard_iron + plan.jump * direction / np.linalg.norm(direction)
+            if plan.refit:
+                shape = shape + rng.normal(0, plan.refit, 5)
         truth[k] = hard_iron
         kind = dives[int(rng.integers(len(dives)))]
         assert kind.covariance is not None

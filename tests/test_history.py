@@ -153,6 +153,47 @@ def test_seasons(dives: tuple[LogFactor, ...]) -> None:
     assert np.mean(covered) > 0.87
 
 
+@pytest.mark.parametrize("refit", [0.003, 0.01])
+def test_a_refit_that_changes_the_soft_iron_is_followed(dives: tuple[LogFactor, ...], refit: float) -> None:
+    """By as much as instruments may differ; all later dives were left out, and the next predicted from the old iron."""
+    followed = 0
+    for seed in range(SEASONS):
+        season = draw_season(seed, dives, SeasonPlan(30, jumps=1, refit=refit, wrecks=0, wrong_units=0))
+        history = History(season.factors)
+        if len(history.groups) > 1:  # taken for two instruments, and said
+            assert not history.next.trusted
+            continue
+        followed += 1
+        assert [index for index, _, _ in history.jumps] == list(season.jumps)
+        assert not history.contradictions
+        assert history.next.trusted
+        following = compress(history.next, "", None)
+        assert following.mean is not None
+        assert following.covariance is not None
+        off = following.mean[:5] - season.shape
+        assert off @ np.linalg.solve(following.covariance[:5, :5], off) < 25
+        off = history.next.hard_iron - season.next_hard_iron
+        assert off @ np.linalg.solve(history.next.covariance[6:9, 6:9], off) < 20
+    assert followed >= (SEASONS if refit < 0.005 else 1)
+
+
+def test_a_last_dive_that_contradicts_the_others_is_no_basis_for_the_next(dives: tuple[LogFactor, ...]) -> None:
+    season = draw_season(3, dives, SeasonPlan(20, jumps=0, wrecks=0, wrong_units=0))
+    last = season.factors[-1]
+    assert last.mean is not None
+    off = np.r_[np.full(5, 0.008), np.full(3, 6.0), np.zeros(3)]
+    history = History([*season.factors[:-1], replace(last, mean=last.mean + off)])
+    assert not history.next.trusted
+    assert "dive 20, the last log, contradicts those before it" in history.next.message
+    assert last.samples not in history.next.diagnostics["recordings"]
+    agreeing = replace(last, name="dive 21", time=(last.time or 0) + 86400, mean=last.mean + off + 1e-4)
+    history.extend([agreeing])
+    assert history.next.trusted
+    assert [index for index, _, _ in history.jumps] == [19]
+    dated = replace(agreeing, name="dive 22", time=4e9, mean=agreeing.mean + 1e-4)
+    assert "dive 22 is dated 2096-10-02, in the future" in history.extend([dated]).next.message
+
+
 def test_adding_a_log_is_the_batch(dives: tuple[LogFactor, ...], tmp_path: Path) -> None:
     sims = [mg.simulate("wide", 120, 10, seed=seed, hard_iron=[2e-6, 12e-6, 9e-6]) for seed in range(4)]
     recordings = [sim.recording for sim in sims]
@@ -348,7 +389,7 @@ def test_damaged_files_are_refused(tmp_path: Path, dives: tuple[LogFactor, ...])
     history.save(tmp_path / "history.yaml")
     text = (tmp_path / "history.yaml").read_text()
     for damage, says in (
-        (text.replace("magyc-gtsam history 3", "another"), "not a history"),
+        (text.replace("magyc-gtsam history 4", "another"), "not a history"),
         (text.replace('"covariance":', '"variance":'), "damaged entry of a log"),
         ("a: [", "not readable as .yaml"),
         ("{", "not readable as .json"),

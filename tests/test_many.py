@@ -187,9 +187,9 @@ def test_history_command(
     assert "a.mcap: its samples are in the history already as " in capsys.readouterr().err
     again = [*command[:3], str(added / "history.yaml"), "-o", str(tmp_path / "again")]
     assert main(again) == 2
-    assert "third.mcap: its samples are in the history already; leave it out" in capsys.readouterr().err
+    assert "third.mcap: its samples are in the history already; name a new log" in capsys.readouterr().err
     assert main([*again, "--end", "200"]) == 2  # a part of it
-    assert "third.mcap: its samples are in the history already; leave it out" in capsys.readouterr().err
+    assert "third.mcap: its samples are in the history already; name a new log" in capsys.readouterr().err
     alone = tmp_path / "alone"
     assert main(["history", str(DIVE), "-o", str(alone)]) in (0, 1)
     write_mcap(tmp_path / DIVE.name, mg.simulate("wide", 120, 10, seed=5).recording)

@@ -17,7 +17,16 @@ from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, remove_exports, write_exports
-from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_json, show_results, show_table, stages
+from magyc_gtsam.cli.terminal import (
+    complain,
+    concluded,
+    show,
+    show_calibration,
+    show_json,
+    show_results,
+    show_table,
+    stages,
+)
 from magyc_gtsam.foreign_text import with_minus
 
 if TYPE_CHECKING:
@@ -44,9 +53,10 @@ def run(
 ) -> int:
     """Follow one instrument over many logs.
 
-    Its soft iron is constant, its hard iron drifts and jumps. Writes history.yaml (a summary of each log, for
-    --add), report.html, and next.yaml with parameters to paste for the next log. Exit code 1: done, but the logs
-    are of several instruments: no parameters, and next.yaml is marked as untrusted.
+    Its soft iron is constant between refits, its hard iron drifts and jumps. Writes history.yaml (a summary of each
+    log, for --add), report.html, and next.yaml with parameters to paste for the next log. Exit code 1: done, but the
+    logs are of several instruments, the last one contradicts those before it or is dated in the future: no parameters,
+    and next.yaml is marked as untrusted.
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
@@ -55,7 +65,7 @@ def run(
     from magyc_gtsam.storage.files import write_text
 
     logs = find_logs([reading.log, *(more or [])])
-    before = None if add is None else History.load(add)
+    before, notes = None if add is None else History.load(add), list[str]()
     strength = scale.tesla()
     options = {} if before is None else dict(before.options)
     if strength is not None:
@@ -73,17 +83,17 @@ def run(
             for name, row in rows.items()
         ]
         if before is not None:
-            _refuse_twice(factors, before)
+            factors, notes = _new(factors, before)
             names = _named_apart([factor.name for factor in factors], before)
             factors = [replace(factor, name=name) for factor, name in zip(factors, names, strict=True)]
         history = History(factors, options=options) if before is None else before.extend(factors)
         verdict, following = judged_history(history), history.next
-        if not verdict.trusted:
-            following = replace(following, converged=False, message=verdict.reason)
         history.save(part / "history.yaml")
         following.save(part / "next.yaml")
         write_exports(part, following)
         write_text(part / "report.html", history_page(history))
+    for note in notes:
+        complain(f"note: {note}")
     if not verdict.trusted:
         remove_exports(folder)  # those of an earlier run
     if json:
@@ -99,15 +109,25 @@ def run(
     return concluded(verdict, shown=not (quiet or json))
 
 
-def _refuse_twice(factors: Sequence[LogFactor], before: History) -> None:
-    """Raise a MagycError for a log that is in the history already and would count twice."""
+def _new(factors: Sequence[LogFactor], before: History) -> tuple[list[LogFactor], list[str]]:
+    """Return the logs that are not in the history already, which would count twice, and a note on each of the others.
+
+    Raises:
+        MagycError: there is no new log.
+    """
     from magyc_gtsam.factors.errors import MagycError
 
+    new, notes = [], []
     for factor in factors:
         known = before.counted.same_samples(factor)
-        if known is not None:
-            called = "" if known.name == factor.name else f" as {known.name}"
-            raise MagycError(f"{factor.name}: its samples are in the history already{called}; leave it out")
+        if known is None:
+            new.append(factor)
+            continue
+        called = "" if known.name == factor.name else f" as {known.name}"
+        notes.append(f"{factor.name}: its samples are in the history already{called}; left out")
+    if not new:
+        raise MagycError(f"{notes[0].removesuffix('; left out')}; name a new log")
+    return new, notes
 
 
 def _named_apart(names: Sequence[str], before: History) -> list[str]:

@@ -61,13 +61,13 @@ def _largest(factor: LogFactor, instrument: Instrument, k: int) -> str:
     """Return the parameter in which a log differs most from its instrument, as text."""
     assert factor.mean is not None
     assert factor.covariance is not None
-    posterior = instrument.posterior
+    posterior, place = instrument.at(k)
     off: list[tuple[float, str]] = []
     for name, part, unit, word in _UNITS:
         expected, spread = (
             (posterior.shared[part], posterior.shared_covariance[part, part])
             if name == "soft iron"
-            else (posterior.hard_iron[k], posterior.covariance[k])
+            else (posterior.hard_iron[place], posterior.covariance[place])
         )
         difference: Array = factor.mean[part] - expected
         total = factor.covariance[part, part] + spread

@@ -1,9 +1,9 @@
 """Kalman filters over one instrument's logs in the order of time.
 
-Each log is labelled: the hard iron walked or jumped before it, or the log is wrong. A labelling, a walk and a scatter
-of the logs' errors define one Kalman filter on (s, h). The bank keeps the `KEPT` likeliest labellings, each at every
-walk and scatter of a grid (a Gaussian sum filter with pruning, Alspach and Sorenson 1972, over multiple models, Magill
-1965). A step takes constant time, and earlier logs are never filtered again.
+Each log is labelled: the hard iron walked or jumped before it, both irons changed, or the log is wrong. A labelling, a
+walk and a scatter of the logs' errors define one Kalman filter on (s, h). The bank keeps the `KEPT` likeliest
+labellings, each at every walk and scatter of a grid (a Gaussian sum filter with pruning, Alspach and Sorenson 1972,
+over multiple models, Magill 1965). A step takes constant time, and earlier logs are never filtered again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from magyc_gtsam.history.log_factor import OBSERVED, LogFactor
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
-WALKED, JUMPED, WRONG = 0, 1, 2
+WALKED, JUMPED, WRONG, REFITTED = 0, 1, 2, 3
 KEPT = 8  # number of labellings that are kept
 WALKS = np.geomspace(
     0.02, 10.0, 16
@@ -43,7 +43,7 @@ class Bank:
     Attributes:
         order: indices of the logs in the history, in the order of time.
         dated: whether elapsed time is in days.
-        label: (k, logs) WALKED, JUMPED (before this log) or WRONG, the likeliest labelling first.
+        label: (k, logs) WALKED, JUMPED or REFITTED (before this log) or WRONG, the likeliest labelling first.
         weight: (k, cells) logarithm of the posterior probability up to a constant.
         mean, covariance: (k, cells, p + 3), (k, cells, p + 3, p + 3) of the shared parameters and h, µT, after the last
             log.
@@ -101,7 +101,7 @@ class Bank:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise MagycError(f"history: a damaged filter ({type(error).__name__}: {error})") from None
-        fits = label.shape == (count, len(order)) and set(np.unique(label)) <= {WALKED, JUMPED, WRONG}
+        fits = label.shape == (count, len(order)) and set(np.unique(label)) <= {WALKED, JUMPED, WRONG, REFITTED}
         if not count or not fits or len(set(order)) != len(order) or not set(order) <= set(range(logs)):
             raise MagycError("history: a damaged filter (its logs are not those of the history)")
         return bank
@@ -141,13 +141,17 @@ def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: Hi
     noise = observed_covariance(factor, SHARED_OF_CELL, model) + (SCATTER_OF_CELL**2)[:, None, None] * on_shape
     innovation = factor.mean[OBSERVED] - bank.mean
     spoilt = model.wrong_shape**2 * on_shape + model.wrong_hard_iron**2 * on_iron
-    prior = np.log([1 - model.jump_share - model.wrong_share, model.jump_share, model.wrong_share])
+    shares = model.jump_share, model.wrong_share, model.refit_share
+    prior = np.log([1 - sum(shares), *shares])
     branches = [
         (WALKED, *_updated(bank.mean, walked, innovation, noise)),
         (WRONG, bank.mean, walked, log_density(innovation, walked + noise + spoilt)),
     ]
     if bank.order:
-        branches.insert(1, (JUMPED, *_updated(bank.mean, walked + model.jump**2 * on_iron, innovation, noise)))
+        jumped = walked + model.jump**2 * on_iron
+        refitted = jumped + model.refit_shape**2 * on_shape
+        branches.insert(1, (JUMPED, *_updated(bank.mean, jumped, innovation, noise)))
+        branches.append((REFITTED, *_updated(bank.mean, refitted, innovation, noise)))
     labels = [np.hstack([bank.label, np.full((len(bank.label), 1), each, dtype=np.int8)]) for each, *_ in branches]
     every = np.concatenate([bank.weight + density + prior[each] for each, _, _, density in branches])
     best = np.argsort(-np.logaddexp.reduce(every, axis=1), kind="stable")[:KEPT]

@@ -16,7 +16,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
 from magyc_gtsam.history.counted_once import CountedLogs
-from magyc_gtsam.history.forward import JUMPED, Bank
+from magyc_gtsam.history.doubt import HistoryDoubt, doubt_of
+from magyc_gtsam.history.forward import JUMPED, REFITTED, Bank
 from magyc_gtsam.history.grouping import Grouping
 from magyc_gtsam.history.instrument import Instrument, solve_instrument
 from magyc_gtsam.history.log_factor import MICROTESLA, PER_MILLE, LogFactor, factor_of
@@ -28,10 +29,11 @@ from magyc_gtsam.storage.files import expect_path, write_text
 from magyc_gtsam.storage.json_types import json_types
 from magyc_gtsam.storage.mapping import parse_json, parse_yaml
 
-_FORMAT = "magyc-gtsam history 3"
+_FORMAT = "magyc-gtsam history 4"
 _EARLIER = (
     "magyc-gtsam history 1",
     "magyc-gtsam history 2",
+    "magyc-gtsam history 3",
 )  # with none or other filters, which are computed again
 _WORTH_KEEPING = 10  # number of logs below which filtering again takes no longer than reading the filter
 _LIST = ",\n"
@@ -138,21 +140,21 @@ class History:
         """Hard iron (k, 3) in T at each log, from all logs of its instrument; the estimate at a wrong log does not
         use that log.
         """
-        return self._of(lambda instrument: instrument.posterior.hard_iron) * MICROTESLA
+        return self._of(lambda instrument: instrument.hard_iron) * MICROTESLA
 
     @property
     def hard_iron_covariance(self) -> Array:
         """Covariance (k, 3, 3) of `hard_iron` in T²."""
-        return self._of(lambda instrument: instrument.posterior.covariance) * MICROTESLA**2
+        return self._of(lambda instrument: instrument.hard_iron_covariance) * MICROTESLA**2
 
     @property
     def jumps(self) -> list[tuple[int, Array, Array]]:
         """One (index of the first log after it, size (3,) T, sigma (3,) T) per jump of the hard iron."""
         jumps = []
         for instrument in self._instruments:
-            size = np.diff(instrument.posterior.hard_iron, axis=0) * MICROTESLA
-            for k in np.flatnonzero(instrument.label == JUMPED):
-                sigma = np.sqrt(np.diag(instrument.posterior.change[k - 1])) * MICROTESLA
+            size = np.diff(instrument.hard_iron, axis=0) * MICROTESLA
+            for k in np.flatnonzero((instrument.label == JUMPED) | (instrument.label == REFITTED)):
+                sigma = np.sqrt(np.diag(instrument.change(int(k)))) * MICROTESLA
                 jumps.append((instrument.order[k], size[k - 1], sigma))
         return sorted(jumps, key=lambda jump: jump[0])
 
@@ -176,9 +178,20 @@ class History:
         return tuple(result[i] for i in range(len(self)))
 
     @cached_property
+    def doubt(self) -> HistoryDoubt | None:
+        """Why `next` must not be used; None if it may."""
+        return doubt_of(self.factors, self.groups, self._instruments)
+
+    @cached_property
     def next(self) -> Calibration:
-        """The calibration for the next log of the largest group; its covariance includes the walk until then."""
-        return next_calibration(self.factors, self._instruments[0], self.model)
+        """The calibration for the next log of the largest group; its covariance includes the walk until then.
+
+        It is not trusted where there is a `doubt`.
+        """
+        following = next_calibration(self.factors, self._instruments[0], self.model)
+        if self.doubt is None:
+            return following
+        return replace(following, converged=False, message=self.doubt.sentence)
 
     def add(self, recording: Recording, *, time: float | None = None) -> History:
         """Add one more log without reading the others again; the result equals that of all logs at once.
@@ -203,7 +216,7 @@ class History:
         added = self.counted.take(factors)
         self.factors = (*self.factors, *added)
         self._grouping.add(added)
-        for name in ("_instruments", "calibrations", "next", "contradictions"):
+        for name in ("_instruments", "calibrations", "next", "contradictions", "doubt"):
             self.__dict__.pop(name, None)
         return self
 

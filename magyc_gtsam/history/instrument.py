@@ -16,6 +16,7 @@ from magyc_gtsam.history.chain import HistoryPosterior, Observations, solve
 from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.history.forward import (
     JUMPED,
+    REFITTED,
     SCATTER_OF_CELL,
     SCATTERS,
     SHARED_OF_CELL,
@@ -56,7 +57,7 @@ class Instrument:
 
     @property
     def label(self) -> np.ndarray:
-        """The likeliest label (k,) of each log: WALKED, JUMPED (before it) or WRONG."""
+        """The likeliest label (k,) of each log: WALKED, JUMPED or REFITTED (before it) or WRONG."""
         return np.asarray(self.bank.label[0])
 
     @property
@@ -117,14 +118,27 @@ class Instrument:
         return mean, covariance + self.shared_error
 
     @cached_property
-    def posterior(self) -> HistoryPosterior:
-        """The posterior from all logs at the likeliest labelling and scatter, averaged over the walk."""
-        elapsed = elapsed_of(self.logs, self.bank.dated)
-        observed = _observations(self.logs, elapsed, SCATTERS[self._scattered], self.label != WRONG, self.model)
+    def _first(self) -> list[int]:
+        """The first log of each part within which the soft iron is the same."""
+        used = np.array([log.mean is not None for log in self.logs]) & (self.label != WRONG)
+        return [0, *(int(k) for k in np.flatnonzero(self.label == REFITTED) if used[:k].any())]
+
+    @cached_property
+    def posteriors(self) -> tuple[HistoryPosterior, ...]:
+        """The posterior from all logs of each such part, at the likeliest labelling and scatter, averaged over the
+        walk.
+        """
+        stops = [*self._first[1:], len(self.logs)]
+        return tuple(self._posterior(first, stop) for first, stop in zip(self._first, stops, strict=True))
+
+    def _posterior(self, first: int, stop: int) -> HistoryPosterior:
+        logs, label = self.logs[first:stop], self.label[first:stop]
+        elapsed = elapsed_of(logs, self.bank.dated)
+        observed = _observations(logs, elapsed, SCATTERS[self._scattered], label != WRONG, self.model)
         weight = self.bank.weight[0].reshape(len(WALKS), len(SCATTERS))[:, self._scattered]
         share = np.exp(weight - weight.max())
         used = np.flatnonzero(share > _NEGLIGIBLE)
-        jumped = self.model.jump**2 * (self.label[1:] == JUMPED)
+        jumped = self.model.jump**2 * ((label[1:] == JUMPED) | (label[1:] == REFITTED))
         each = [solve(observed, WALKS[i] ** 2 * observed.elapsed + jumped) for i in used]
         found, error = _averaged(each, share[used] / share[used].sum()), self.shared_error
         return replace(
@@ -133,6 +147,28 @@ class Instrument:
             covariance=found.covariance + error[-3:, -3:],
             cross=found.cross + error[-3:, :-3],
         )
+
+    def at(self, k: int) -> tuple[HistoryPosterior, int]:
+        """Return the posterior that contains the k-th log, and the place of the log in it."""
+        part = int(np.searchsorted(self._first, k, side="right")) - 1
+        return self.posteriors[part], k - self._first[part]
+
+    @cached_property
+    def hard_iron(self) -> Array:
+        """The hard iron (k, 3) of each log, µT."""
+        return np.concatenate([each.hard_iron for each in self.posteriors])
+
+    @cached_property
+    def hard_iron_covariance(self) -> Array:
+        """Its covariance (k, 3, 3)."""
+        return np.concatenate([each.covariance for each in self.posteriors])
+
+    def change(self, k: int) -> Array:
+        """Return the covariance (3, 3) of the change of the hard iron before the k-th log, µT²."""
+        posterior, place = self.at(k)
+        if place:
+            return np.asarray(posterior.change[place - 1])
+        return np.asarray(self.hard_iron_covariance[k - 1] + self.hard_iron_covariance[k])
 
 
 def solve_instrument(

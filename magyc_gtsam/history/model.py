@@ -17,6 +17,10 @@ class HistoryModel:
             nobody touches (0.06 µT between trials of one unit of BROAD) to one that is taken apart.
         jump_share: share of the pairs of neighbouring logs between which the hard iron jumped.
         jump: µT, deviation of a jump on each axis; magnets in BROAD's trials 32 to 35 moved it by 5 to 67.
+        refit_share: share of the pairs of neighbouring logs between which the soft iron changed for good as well, as
+            where a payload or the unit was replaced.
+        refit_shape: relative, deviation of that change; as large as that of a wrong log, so that a single log is rather
+            wrong, and two that agree are not.
         wrong_share: share of the logs with a disturbed field or a wrong unit whose calibration converged.
         wrong_hard_iron: µT, deviation of the hard iron of such a log.
         wrong_shape: relative, deviation of its soft iron; translation trials of BROAD were off by 3 to 10 %.
@@ -46,6 +50,8 @@ class HistoryModel:
     walk_spread: float = float(np.log(4.0))
     jump_share: float = 0.02
     jump: float = 20.0
+    refit_share: float = 0.002
+    refit_shape: float = 0.05
     wrong_share: float = 0.02
     wrong_hard_iron: float = 30.0
     wrong_shape: float = 0.05

@@ -59,10 +59,10 @@ def _logs_used(factors: Sequence[LogFactor], instrument: Instrument) -> int:
 
 
 def _shared_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
-    posterior = instrument.posterior
-    cross = posterior.cross[k]
-    covariance = np.block([[posterior.shared_covariance, cross.T], [cross, posterior.covariance[k]]])
-    return np.concatenate([posterior.shared, posterior.hard_iron[k]]), covariance
+    posterior, place = instrument.at(k)
+    cross = posterior.cross[place]
+    covariance = np.block([[posterior.shared_covariance, cross.T], [cross, posterior.covariance[place]]])
+    return np.concatenate([posterior.shared, posterior.hard_iron[place]]), covariance
 
 
 def _without_bias(mean: Array, covariance: Array) -> tuple[Array, Array]:
@@ -93,7 +93,11 @@ def _calibration(
         "logs": len(instrument.order),
         "walk": instrument.walk,
         "scatter": instrument.scatter,
-        "recordings": [factors[i].samples for i in instrument.order if factors[i].samples],
+        "recordings": [
+            factors[i].samples
+            for i, label in zip(instrument.order, instrument.label, strict=True)
+            if factors[i].samples and factors[i].mean is not None and label != WRONG
+        ],
     }
     found = calibration_of(
         mean,

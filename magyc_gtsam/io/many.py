@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import re
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
@@ -42,7 +43,7 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
         if path.is_dir():
             inside = [
                 file
-                for file in sorted(path.rglob("*"))
+                for file in sorted(path.rglob("*"), key=_natural)
                 if _is_log(file) and not any(part.startswith(".") for part in file.relative_to(path).parts)
             ]
             if not inside:
@@ -51,13 +52,20 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
         elif path.exists():
             logs[path] = None
         elif any(mark in str(each) for mark in _PATTERN):
-            matching = [Path(name) for name in sorted(glob.glob(str(each), recursive=True)) if _is_log(Path(name))]
+            named = sorted(map(Path, glob.glob(str(each), recursive=True)), key=_natural)
+            matching = [file for file in named if _is_log(file)]
             if not matching:
                 raise MagycError(f"{each}: no logs match this pattern")
             logs |= dict.fromkeys(matching)
         else:
             raise MagycError(f"{path}: no such file or folder")
     return tuple(logs)
+
+
+def _natural(file: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts names as people do: dive2 before dive10."""
+    parts = re.split(r"(\d+)", file.as_posix())
+    return [(int(part) if part.isdecimal() else -1, part) for part in parts]
 
 
 def _is_log(file: Path) -> bool:

@@ -8,7 +8,6 @@ from datetime import datetime, timezone
 
 import numpy as np
 
-from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.history import History
 from magyc_gtsam.history.log_factor import HARD_IRON
 from magyc_gtsam.recording import Array
@@ -18,7 +17,6 @@ from magyc_gtsam.report.verdict import Verdict, said
 from magyc_gtsam.report.words import parameter_rows
 
 _AXES = ("x", "y", "z")
-_MOST_GROUPS = 3  # that the verdict names
 _BAND = 1.96  # sigmas
 _BARS = "Bars: 95% interval (±1.96σ)."
 
@@ -97,18 +95,9 @@ def history_page(history: History) -> str:
 
 def judged_history(history: History) -> Verdict:
     """Return the verdict on a history, for page, terminal and exit code."""
-    largest = len(history.groups[0])
-    instruments = [group for group in history.groups if len(group) > 1 or len(group) == largest]
     jumps = len(history.jumps)
-    if len(instruments) > 1:
-        members = "; ".join(listed([history.names[i] for i in group]) for group in instruments[:_MOST_GROUPS])
-        more = "; and more" if len(instruments) > _MOST_GROUPS else ""
-        return Verdict(
-            False,
-            f"the logs are of {len(instruments)} instruments ({members}{more})",
-            "give the logs of one instrument alone",
-            called="The logs do not belong together",
-        )
+    if history.doubt is not None:
+        return Verdict(False, history.doubt.cause, history.doubt.action, called=history.doubt.called)
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
     calibrated = [factor for factor in history.factors if factor.mean is not None]
     undated = [factor.name for factor in calibrated if factor.time is None]

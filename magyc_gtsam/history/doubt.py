@@ -1,0 +1,63 @@
+"""Why the calibration that a history predicts for the next log must not be used."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from typing import NamedTuple
+
+from magyc_gtsam.foreign_text import listed
+from magyc_gtsam.history.forward import WRONG
+from magyc_gtsam.history.instrument import Instrument
+from magyc_gtsam.history.log_factor import LogFactor
+from magyc_gtsam.history.model import DAY
+
+_MOST_GROUPS = 3  # that are named
+
+
+class HistoryDoubt(NamedTuple):
+    """A reason with its remedy, at most 30 words together, and a title."""
+
+    cause: str
+    action: str
+    called: str
+
+    @property
+    def sentence(self) -> str:
+        """Both in one sentence."""
+        return f"{self.cause}: {self.action}"
+
+
+def doubt_of(
+    factors: Sequence[LogFactor], groups: Sequence[Sequence[int]], instruments: Sequence[Instrument]
+) -> HistoryDoubt | None:
+    """Return why the next log is not predicted: logs of several instruments, in the future, or a last log that is
+    left out.
+    """
+    several = [group for group in groups if len(group) > 1 or len(group) == len(groups[0])]
+    if len(several) > 1:
+        members = "; ".join(listed([factors[i].name for i in group]) for group in several[:_MOST_GROUPS])
+        more = "; and more" if len(several) > _MOST_GROUPS else ""
+        return HistoryDoubt(
+            f"the logs are of {len(several)} instruments ({members}{more})",
+            "give the logs of one instrument alone",
+            "The logs do not belong together",
+        )
+    main = instruments[0]
+    used = [k for k, i in enumerate(main.order) if factors[i].mean is not None]
+    last = factors[main.order[used[-1]]]
+    if last.time is not None and last.time > time.time() + DAY:
+        date = datetime.fromtimestamp(last.time, timezone.utc).strftime("%Y-%m-%d")
+        return HistoryDoubt(
+            f"{last.name} is dated {date}, in the future",
+            "correct the date of this log, or leave it out",
+            "The order of the logs is not known",
+        )
+    if main.label[used[-1]] == WRONG:
+        return HistoryDoubt(
+            f"{last.name}, the last log, contradicts those before it: iron was near, or its own changed for good",
+            "add another log; if it agrees, the iron changed",
+            "The next log is not predicted",
+        )
+    return None
