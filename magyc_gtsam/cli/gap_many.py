@@ -15,7 +15,9 @@ from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder
 from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
+from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.gap.effects import LABELS
+from magyc_gtsam.option_names import as_options
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.many.result import GapOfMany, SharedEffect
@@ -41,7 +43,7 @@ def gap_of_logs(
     """Compare all logs, and write gap.json, report.html and a calibration for each log.
 
     Returns:
-        The exit code: 0 if nothing is missing or all of it is named, else 1.
+        The exit code: 0 if nothing is missing or all of it is named, and all calibrations are trusted, else 1.
 
     Raises:
         MagycError: no log can be read.
@@ -76,10 +78,13 @@ def gap_of_logs(
         show_json(gap.to_dict() | {"folder": str(folder)})
     elif not quiet:
         _show(gap, folder, verbose)
-    if gap.verdict in _GOOD:
-        return 0
-    complain(f"the gap is left open: {gap.sentence}")
-    return 1
+    untrusted = [name for name, calibration in gap.calibrations.items() if not calibration.trusted]
+    if gap.verdict not in _GOOD:
+        complain(f"the gap is left open: {gap.sentence}")
+    for name in untrusted:
+        why = as_options(clauses(gap.calibrations[name].message)[0])
+        complain(f"{name}: its calibration must not be used ({why}); run `magyc-gtsam gap` on this log alone")
+    return int(gap.verdict not in _GOOD or bool(untrusted))
 
 
 def effect_rows(gap: GapOfMany) -> list[list[str]]:

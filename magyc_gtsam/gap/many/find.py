@@ -14,11 +14,12 @@ from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, related
 from magyc_gtsam.gap.many.described import AddedEffect, told
+from magyc_gtsam.gap.many.looking import look_over
 from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
-from magyc_gtsam.gap.many.one_log import OneLog, Test
+from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight
-from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh, weigh_variation
+from magyc_gtsam.gap.many.weighing import WeighedOverLogs
 from magyc_gtsam.gap.model.refit import refit, widened
 from magyc_gtsam.gap.naming.delay import with_free_delay
 from magyc_gtsam.gap.outcome.corrected import as_calibration
@@ -31,6 +32,7 @@ from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
 
+_RIVALS = 4  # named effects that are fitted in place of a varying field
 Progress = Callable[[float], None]
 
 
@@ -113,7 +115,7 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
     had = [each.name for each in state.added]
     free = [name for name in state.names if name in TERMS and name not in had]
     asked = [name for name in free if not any(nested(name, other) for other in had)]
-    weighed = _look(state.logs, asked)
+    weighed = look_over(state.logs, asked)
     state = replace(state, weighed=weighed)
     strongest = weighed[0]
     explained, limit = sum(each.evidence for each in state.added), MODEL.sure
@@ -124,6 +126,9 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
         return state, False
     if strongest.named and more:
         varies = strongest.name == FIELD_VARIATION
+        instead = _instead(state, strongest, weighed) if varies else None
+        if instead is not None:
+            return instead, True
         ahead = (_with_variation if varies else _with_effect)(state, strongest, _alternatives(weighed))
         # Of what the field explained without the effect, a part may be due to it.
         own = sum(log.power_of(strongest.name) for log in ahead.logs)
@@ -138,44 +143,26 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
     return replace(state, unknown=strongest.name), False
 
 
-def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs, ...]:
-    """Return all hypotheses, strongest first."""
-    tests = [log.tests(names) for log in logs]
-    for name in names:
-        pooled = _pooled([log.get(name, ()) for log in tests])
-        for log, found in zip(logs, tests, strict=True):
-            if pooled and found.get(name):
-                found[name] = (*found[name], *log.tests_at(name, pooled))
-    every = dict.fromkeys(name for found in tests for name in found)
-    weighed = [weigh(name, tests) for name in every]
-    if all(log.variation is None for log in logs):
-        weighed.append(weigh_variation([log.varying[0] for log in logs]))
-    return tuple(sorted((w for w in weighed if _possible(w, logs)), key=lambda each: -each.nats))
+def _instead(state: _State, varying: WeighedOverLogs, weighed: Sequence[WeighedOverLogs]) -> _State | None:
+    """Return the state with the named effect that explains most once it is fitted, if that is more than a varying field
+    does; None without.
+
+    A large effect explains little in the linear model in which it is looked for, at a time that is only nearly right,
+    and a field that varies can follow any. Each value costs half the logarithm of the number of readings (Schwarz).
+    """
+    best, most = None, varying.nats
+    for rival in [each for each in weighed if each.name in TERMS and each.nats > MODEL.sure][:_RIVALS]:
+        ahead = _with_effect(state, rival, _alternatives(weighed))
+        gained = sum(_gained(log, rival.name) for log in ahead.logs)
+        if gained > most:
+            best, most = ahead, gained
+    return best
 
 
-def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
-    """Return whether a significant effect has possible values in most of the logs that contain it."""
-    if not weighed.named or weighed.nats < MODEL.sure:
-        return True
-    shared = weighed.instrument >= 0.5 and weighed.name not in OF_THE_INSTRUMENT
-    said = []
-    for log, best, present in zip(logs, weighed.best, weighed.present, strict=True):
-        if best is None or not (shared or present > 0.5):
-            continue
-        value, setting = (weighed.value, weighed.setting) if shared else (best.value, best.setting)
-        said.append(TERMS[weighed.name].possible(log.refitted.twin, value, setting))
-    return not said or float(np.mean(said)) >= 0.5
-
-
-def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
-    """Return the best setting of each log, to be tested in all logs, if the logs have no setting in common."""
-    keys = [{test.key for test in tests} for tests in of_log if tests]
-    if len(keys) < 2 or set.intersection(*keys):
-        return []
-    best = [max(tests, key=lambda test: float(test.nats.max())) for tests in of_log if tests]
-    if any("time" in test.setting or "start" in test.setting for test in best):
-        return []
-    return list({test.key: dict(test.setting) for test in best}.values())
+def _gained(log: OneLog, name: str) -> float:
+    """Return what an effect of a log's model explains, nats, less the cost of its values."""
+    values = sum(len(term.value) for term in log.refitted.model.terms if term.name == name)
+    return log.power_of(name) - 0.5 * values * float(np.log(3 * log.refitted.twin.n))
 
 
 def _alternatives(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:

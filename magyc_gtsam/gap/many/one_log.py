@@ -11,7 +11,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import TERMS, sudden
 from magyc_gtsam.gap.evidence.beside import LEAST, Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings, what_matters
 from magyc_gtsam.gap.evidence.generic import families
@@ -25,11 +25,14 @@ from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, 
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
 from magyc_gtsam.gap.model.root import TooSmoothError, root
+from magyc_gtsam.gap.naming.steps import away_from_steps
 from magyc_gtsam.gap.prepared import Prepared
 from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
+
+_FINER = 4  # rounds of finding the time of a sudden effect
 
 _OF_THE_LOG = ("start", "end")  # settings that belong to one recording, as the references of channels do
 
@@ -133,9 +136,26 @@ class OneLog:
         Raises:
             MagycError: an effect whose values are too large for the readings.
         """
-        model = with_term(self.refitted.model, Active(name, dict(setting), value))
-        fitted = refit(self.refitted.twin.problem, model, None)
+        model, problem = self.refitted.model, self.refitted.twin.problem
+        setting = dict(setting)
+        fitted = refit(problem, with_term(model, Active(name, setting, value)), None)
+        for _ in range(_FINER if sudden(name, setting) else 0):
+            before, setting = setting, self._closer(name, setting)
+            if setting == before:
+                break
+            ahead = refit(problem, with_term(model, Active(name, setting, value)), None)
+            if ahead.twin.reduced.cost >= fitted.twin.reduced.cost:
+                break
+            fitted = ahead
         return replace(self, refitted=fitted, variation=self.variation and field_variation(fitted.twin))
+
+    def _closer(self, name: str, setting: dict[str, float]) -> dict[str, float]:
+        """Return the most probable setting of an effect near one of them."""
+        twin = self.refitted.twin
+        near = TERMS[name].refined(twin, setting)
+        tests = self._tested(Candidates.of_parts(twin, [at_settings(twin, name, near)]))[name] if near else ()
+        best = max(tests, key=lambda test: float(test.nats.max()), default=None)
+        return setting if best is None else dict(best.setting)
 
     @cached_property
     def beside(self) -> Beside:
@@ -204,7 +224,8 @@ class OneLog:
 
         Beside a varying field, which correlates the innovations, correlated noise cannot be tested.
         """
-        fine, singles = singles_of(self.recording, self.refitted.model)
+        model = self.refitted.model
+        fine, singles = singles_of(away_from_steps(self.recording, model), model)
         scores = {score.name: score for score in self.discrete} | singles
         if self.variation is None:
             scores[COLOUR] = coloured_noise(fine.calm, fine.rate, fine.level, MODEL.alone)

@@ -32,11 +32,17 @@ def without_samples_of_steps(recording: Recording, result: Named) -> Named:
 
 def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:
     """Return whether wrong samples are significant away from steps; True if none next to a step was left out."""
+    away = away_from_steps(before, model)
+    left_out = before.magnetic_field_fresh & ~after.magnetic_field_fresh
+    if not (left_out & ~away.magnetic_field_fresh).any():
+        return True
+    fine = fine_innovations(away, model)
+    return spikes(fine.innovation, fine.level, 0.0).significant
+
+
+def away_from_steps(recording: Recording, model: Model) -> Recording:
+    """Return a recording without the samples of the field next to the sudden changes of a model."""
     terms = [term for term in model.terms if term.name in _EDGED and "width" not in term.setting]
     times = np.array([term.setting[end] for term in terms for end in ("time", "until") if end in term.setting])
-    left_out = before.magnetic_field_fresh & ~after.magnetic_field_fresh
-    near = (np.abs(before.time[:, None] - times) < _BESIDE).any(axis=1)
-    if not (left_out & near).any():
-        return True
-    fine = fine_innovations(replace(before, magnetic_field_fresh=before.magnetic_field_fresh & ~near), model)
-    return spikes(fine.innovation, fine.level, 0.0).significant
+    near = (np.abs(recording.time[:, None] - times) < _BESIDE).any(axis=1)
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~near)
