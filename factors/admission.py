@@ -40,7 +40,7 @@ class Admission:
     turned: bool = False
 
 
-class Contradiction(NamedTuple):
+class HeadingContradiction(NamedTuple):
     """A heading of the blocks that the other factors contradict: its angle from theirs, rad, and since when, s."""
 
     angle: float
@@ -68,7 +68,7 @@ class AdmissionControl:
         self.entered = limits is None
         self.pull: HeadingPull | None = None
         self.pull_slot = -1
-        self.contradiction: Contradiction | None = None
+        self.contradiction: HeadingContradiction | None = None
         self.since = float("nan")
         self._resisted = 0  # consecutive blocks at which the other factors contradicted the prior
         self._values = gtsam.Values()
@@ -145,7 +145,7 @@ class AdmissionControl:
         angle = self.pull.resisted(view) if self.pull_slot >= 0 else None
         self._resisted = 0 if angle is None else self._resisted + 1
         if angle is not None and self._resisted >= self._alignment.limits.resisted:
-            self.contradiction = Contradiction(angle, time)
+            self.contradiction = HeadingContradiction(angle, time)
         return angle is not None
 
     def _without_pull(self) -> list[int]:

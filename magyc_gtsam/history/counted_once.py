@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.history.log_factor import LogFactor
 from magyc_gtsam.recording.fingerprint import first_shared, hashes_of
 
@@ -46,3 +47,14 @@ class CountedLogs:
 def _keys(factor: LogFactor) -> list[int | bytes]:
     """Return what a log shares with another one of the same samples; a log without a calibration counts none."""
     return [] if factor.mean is None else [factor.mean.tobytes(), *hashes_of(factor.samples).tolist()]
+
+
+def of_one_kind(factors: Sequence[LogFactor]) -> tuple[LogFactor, ...]:
+    """Return the factors, all with the gyroscope's scale or all without."""
+    sizes = {len(factor.mean) for factor in factors if factor.mean is not None}
+    if len(sizes) > 1:
+        raise MagycError(
+            "history: some logs were calibrated with the gyroscope's scale and some without; calibrate all of them "
+            "with the same gyroscope_scale"
+        )
+    return tuple(factors)

@@ -15,7 +15,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
-from magyc_gtsam.history.counted_once import CountedLogs
+from magyc_gtsam.history.counted_once import CountedLogs, of_one_kind
 from magyc_gtsam.history.doubt import HistoryDoubt, doubt_of
 from magyc_gtsam.history.forward import JUMPED, REFITTED, Bank
 from magyc_gtsam.history.grouping import Grouping
@@ -65,7 +65,7 @@ class History:
         self.options = dict(options or {})
         self.model = model or _model_for(self.options)
         self.counted = CountedLogs()
-        self.factors = _of_one_kind(self.counted.take(factors))
+        self.factors = of_one_kind(self.counted.take(factors))
         self._grouping = Grouping(self.factors, self.model, groups)
         self._banks = tuple(banks)
         if not self.groups:
@@ -212,7 +212,7 @@ class History:
     def extend(self, factors: Sequence[LogFactor]) -> History:
         """Add logs that are already compressed, and return this history."""
         self._banks = self._filters
-        _of_one_kind((*self.factors, *factors))
+        of_one_kind((*self.factors, *factors))
         added = self.counted.take(factors)
         self.factors = (*self.factors, *added)
         self._grouping.add(added)
@@ -281,17 +281,6 @@ def _model_for(options: Mapping[str, Any]) -> HistoryModel:
     """Return the default model, with the prior of the gyroscope's scale that logs are calibrated with."""
     deviation = options.get("gyroscope_scale")
     return HistoryModel(gyroscope_scale=deviation / PER_MILLE) if deviation else HistoryModel()
-
-
-def _of_one_kind(factors: Sequence[LogFactor]) -> tuple[LogFactor, ...]:
-    """Return the factors, all with the gyroscope's scale or all without."""
-    sizes = {len(factor.mean) for factor in factors if factor.mean is not None}
-    if len(sizes) > 1:
-        raise MagycError(
-            "history: some logs were calibrated with the gyroscope's scale and some without; calibrate all of them "
-            "with the same gyroscope_scale"
-        )
-    return tuple(factors)
 
 
 def _dumped(value: Any) -> str:
