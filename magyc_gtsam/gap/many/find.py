@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.noted import as_mounted, noted
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested
+from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested, sudden
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, related
 from magyc_gtsam.gap.many.described import AddedEffect, told
@@ -32,7 +32,7 @@ from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
 
-_RIVALS = 4  # named effects that are fitted in place of a varying field
+_RIVALS = 3  # sudden effects that are fitted in place of a varying field
 Progress = Callable[[float], None]
 
 
@@ -144,25 +144,25 @@ def _step(state: _State, more: bool) -> tuple[_State, bool]:
 
 
 def _instead(state: _State, varying: WeighedOverLogs, weighed: Sequence[WeighedOverLogs]) -> _State | None:
-    """Return the state with the named effect that explains most once it is fitted, if that is more than a varying field
-    does; None without.
+    """Return the state with the sudden effect beside which, once it is fitted, least of a varying field is left; None
+    if none explains as much as that field.
 
-    A large effect explains little in the linear model in which it is looked for, at a time that is only nearly right,
-    and a field that varies can follow any. Each value costs half the logarithm of the number of readings (Schwarz).
+    A large jump explains little in the linear model in which it is looked for, at a time that is only nearly right, and
+    a field that varies follows it.
     """
-    best, most = None, varying.nats
-    for rival in [each for each in weighed if each.name in TERMS and each.nats > MODEL.sure][:_RIVALS]:
+    best, least = None, MODEL.remain * varying.nats
+    for rival in [each for each in weighed if _sudden(each) and each.nats > MODEL.sure][:_RIVALS]:
         ahead = _with_effect(state, rival, _alternatives(weighed))
-        gained = sum(_gained(log, rival.name) for log in ahead.logs)
-        if gained > most:
-            best, most = ahead, gained
+        left = sum(log.varying[0] for log in ahead.logs)
+        if left < least:
+            best, least = ahead, left
     return best
 
 
-def _gained(log: OneLog, name: str) -> float:
-    """Return what an effect of a log's model explains, nats, less the cost of its values."""
-    values = sum(len(term.value) for term in log.refitted.model.terms if term.name == name)
-    return log.power_of(name) - 0.5 * values * float(np.log(3 * log.refitted.twin.n))
+def _sudden(weighed: WeighedOverLogs) -> bool:
+    """Return whether a hypothesis is a sudden effect in one of the logs."""
+    tests = [test for test in weighed.best if test is not None]
+    return weighed.name in TERMS and any(sudden(weighed.name, test.setting) for test in tests)
 
 
 def _alternatives(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
