@@ -177,6 +177,11 @@ BAD_FILES = {
     "a list": ("cal.yaml", "[1, 2]", "not a calibration"),
     "empty": ("cal.yaml", "", "not a calibration"),
     "something else": ("cal.yaml", "camera: {fx: 500}", "not a calibration: format is None"),
+    "an accelerometer's": (
+        "cal.yaml",
+        "format: magyc-gtsam accelerometer calibration 1",
+        "the calibration of an accelerometer, which is not exported",
+    ),
     "another version": ("cal.yaml", GOOD.replace("calibration 1", "calibration 9"), "calibration 9"),
     "no hard iron": ("cal.yaml", GOOD.replace("hard_iron", "hard_irony"), "calibration without hard_iron"),
     "wrong shape": ("cal.yaml", yaml.safe_dump(SAVED | {"soft_iron": [1]}), "soft_iron must be (3, 3)"),

@@ -52,6 +52,11 @@ def constructor_arguments(calibration_class: type[DataclassInstance], data: Mapp
     """
     if not isinstance(data, Mapping):
         raise MagycError(f"not a calibration: a mapping of names to values is needed, got a {type(data).__name__}")
+    if "accelerometer" in str(data.get("format")):
+        raise MagycError(
+            "the calibration of an accelerometer, which is not exported or applied by the command line; in Python, "
+            "mg.AccelerometerCalibration.load reads it"
+        )
     if data.get("format") != FORMAT:
         raise MagycError(f"not a calibration: format is {data.get('format')!r}, expected {FORMAT!r}")
     expect_whole(data)

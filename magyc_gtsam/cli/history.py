@@ -60,6 +60,7 @@ def run(
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
+    from magyc_gtsam.history.doubt import far_apart
     from magyc_gtsam.io.many import find_logs
     from magyc_gtsam.report.summary_page import history_page, judged_history
     from magyc_gtsam.storage.files import write_text
@@ -92,7 +93,7 @@ def run(
         following.save(part / "next.yaml")
         write_exports(part, following)
         write_text(part / "report.html", history_page(history))
-    for note in notes:
+    for note in [*notes, *far_apart(history.factors)]:
         complain(f"note: {note}")
     if not verdict.trusted:
         remove_exports(folder)  # those of an earlier run
@@ -156,19 +157,21 @@ def _compress_one(task: tuple[Reading, dict[str, Any]]) -> Row:
 
 
 def _show(history: History) -> None:
+    from magyc_gtsam.history.doubt import date_of
     from magyc_gtsam.report.summary_page import history_rows
 
-    header, rows = ["log", "hard iron x, y, z (µT)", "±", ""], []
+    header, rows = ["log", "date", "hard iron x, y, z (µT)", "±", ""], []
     unused = {each.index: each.sentence for each in history.contradictions}
-    for i, (name, iron, calibration) in enumerate(
-        zip(history.names, history.hard_iron, history.calibrations, strict=True)
+    for i, (factor, iron, calibration) in enumerate(
+        zip(history.factors, history.hard_iron, history.calibrations, strict=True)
     ):
+        called = [factor.name, "" if factor.time is None else date_of(factor.time)]
         if i in unused:  # the history knows a hard iron at that time, but not from this log
-            rows.append([name, "–", "–", f"not used: {unused[i]}"])
+            rows.append([*called, "–", "–", f"not used: {unused[i]}"])
             continue
         sigma = calibration.sigma["hard_iron"].max() * 1e6
-        rows.append([name, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}", ""])
-    show_table(header, rows, words=(3,))
+        rows.append([*called, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}", ""])
+    show_table(header, rows, words=(4,))
     show("")
     show(*(with_minus(f"jump before {' '.join(map(str, row))}") for row in history_rows(history)))
     if len(history.groups) > 1:

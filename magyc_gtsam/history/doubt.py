@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from itertools import pairwise
 from typing import NamedTuple
 
 from magyc_gtsam.foreign_text import listed
@@ -14,6 +15,7 @@ from magyc_gtsam.history.log_factor import LogFactor
 from magyc_gtsam.history.model import DAY
 
 _MOST_GROUPS = 3  # that are named
+_FAR_APART = 1000.0  # days between two logs, from which a clock is suspected that was never set
 
 
 class HistoryDoubt(NamedTuple):
@@ -27,6 +29,11 @@ class HistoryDoubt(NamedTuple):
     def sentence(self) -> str:
         """Both in one sentence."""
         return f"{self.cause}: {self.action}"
+
+
+def date_of(seconds: float) -> str:
+    """Return the date of a time in s since 1970, UTC."""
+    return datetime.fromtimestamp(seconds, timezone.utc).strftime("%Y-%m-%d")
 
 
 def doubt_of(
@@ -47,10 +54,10 @@ def doubt_of(
     main = instruments[0]
     used = [k for k, i in enumerate(main.order) if factors[i].mean is not None]
     last = factors[main.order[used[-1]]]
-    if last.time is not None and last.time > time.time() + DAY:
-        date = datetime.fromtimestamp(last.time, timezone.utc).strftime("%Y-%m-%d")
+    if _is_ahead(last):
+        assert last.time is not None
         return HistoryDoubt(
-            f"{last.name} is dated {date}, in the future",
+            f"{last.name} is dated {date_of(last.time)}, in the future",
             "correct the date of this log, or leave it out",
             "The order of the logs is not known",
         )
@@ -61,3 +68,20 @@ def doubt_of(
             "The next log is not predicted",
         )
     return None
+
+
+def far_apart(factors: Sequence[LogFactor]) -> list[str]:
+    """Return a note on each log that is dated years before the next one, as by a clock that was never set."""
+    known = [(each.time, each.name) for each in factors if each.time is not None and each.mean is not None]
+    present = sorted(each for each in known if each[0] <= time.time() + DAY)
+    return [
+        f"{name} is dated {date_of(at)}, {(later - at) / DAY:.0f} days before {after}: if its clock was not set, the "
+        "logs are not in their order; leave it out, or correct its date"
+        for (at, name), (later, after) in pairwise(present)
+        if later - at > _FAR_APART * DAY
+    ]
+
+
+def _is_ahead(factor: LogFactor) -> bool:
+    """Return whether a log is dated in the future."""
+    return factor.time is not None and factor.time > time.time() + DAY
