@@ -12,7 +12,7 @@ import numpy as np
 from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
 from magyc_gtsam.factors.calibration_before import calibration_before
 from magyc_gtsam.factors.delivered import Delivered
-from magyc_gtsam.factors.heading_pull import HeadingPull, heading_sigma, rotation_of
+from magyc_gtsam.factors.heading_pull import HeadingPull, known_heading
 from magyc_gtsam.factors.health import CHECK_AXES, Health, HealthStatus
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
@@ -186,13 +186,8 @@ class AdmissionControl:
         held = [each for each in self._alignment.attitudes if not view.new.exists(each) and view.exists(each)]
         if not held:
             return False
-        covariance, limit = view.covariance(held[-1:]), self._alignment.limits.confident
-        if covariance is None or heading_sigma(point, held[-1], covariance) >= limit:
-            return False
-        # iSAM2's covariance is that where it linearised: of a graph that turns, and waits for its next
-        # relinearisation (`relinearizeSkip`), it says nothing.
-        before = rotation_of(view.linearized(held[-1:]), held[-1])
-        return bool(np.linalg.norm(before - rotation_of(point, held[-1])) < np.sqrt(2) * limit)
+        sigma = known_heading(view, point, held[-1])
+        return sigma is not None and sigma < self._alignment.limits.confident
 
     def _turned(
         self,

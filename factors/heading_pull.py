@@ -13,7 +13,9 @@ from magyc_gtsam.factors.variables import Array, attitude, choose
 
 _SEEN = 0.02  # share of the prior's variance that the other factors must take away before they can contradict it
 _UNLIKELY = 1e-9  # probability of the prior's innovation below which they do
-_SETTLED = np.radians(20.0)  # distance to where iSAM2 linearised, beyond which its covariance says nothing
+_TURNED = np.radians(
+    15.0
+)  # from where iSAM2 linearised; of a graph that turns further its covariance says nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +45,16 @@ class HeadingPull:
         the prior; None where they do not, or the graph is still turning.
 
         With the prior in the graph, r the heading's distance from the target and P its variance, the innovation against
-        all other factors has the square r² / (σ² (1 − P / σ²)), as that of a block (`health.py`).
+        all other factors has the square r² / (σ² (1 − P / σ²)), as that of a block (`block_fit.py`).
         """
         if not view.exists(self.key) or view.new.exists(self.key):
             return None
-        point, covariance = view.values([self.key]), view.covariance([self.key])
-        if covariance is None:
+        point = view.values([self.key])
+        sigma = known_heading(view, point, self.key)
+        left = 0.0 if sigma is None else 1 - (sigma / self.sigma) ** 2
+        if left < _SEEN:
             return None
-        here, before = rotation_of(point, self.key), rotation_of(view.linearized([self.key]), self.key)
-        left = 1 - (heading_sigma(point, self.key, covariance) / self.sigma) ** 2
-        if left < _SEEN or np.linalg.norm(here - before) > np.sqrt(2) * _SETTLED:
-            return None
-        between = self.target @ here.T
+        between = self.target @ rotation_of(point, self.key).T
         angle = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
         return angle if chdtrc(1, (angle / self.sigma) ** 2 / left) < _UNLIKELY else None
 
@@ -113,6 +113,19 @@ def heading_sigma(point: gtsam.Values, key: int, covariance: Array) -> float:
     """Return the standard deviation, in rad, of an attitude about the vertical, from its covariance."""
     axis = heading_axis(point, key)
     return float(np.sqrt(axis @ covariance @ axis))
+
+
+def known_heading(view: View, point: gtsam.Values, key: int) -> float | None:
+    """Return the standard deviation (rad) of the solver's heading at an attitude that it holds; None while it turns.
+
+    iSAM2's covariance is that where it linearised: of a graph that turns, and waits for its next relinearisation
+    (`relinearizeSkip`), it says nothing.
+    """
+    covariance = view.covariance([key])
+    if covariance is None:
+        return None
+    turned = np.linalg.norm(rotation_of(view.linearized([key]), key) - rotation_of(point, key))
+    return heading_sigma(point, key, covariance) if turned < np.sqrt(2) * _TURNED else None
 
 
 def _kind(point: gtsam.Values, key: int) -> str:

@@ -28,13 +28,14 @@ class Mounted(Protocol):
         """See `Recording`."""
 
 
-def as_mounted(calibration: Calibration, log: Mounted, clock_drift: float = 0.0) -> Calibration:
-    """Return the calibration with what is known of its log in its configuration: the axes, the autopilot, for `export`,
-    and a drift of the clocks (s/s) that was taken out of the stamps.
-    """
+def with_clock_drift(calibration: Calibration, drift: float) -> Calibration:
+    """Return the calibration with a drift of the clocks (s/s), taken out of the stamps, in its configuration."""
+    return _with(calibration, "configuration", {"clock_drift": drift}) if drift else calibration
+
+
+def as_mounted(calibration: Calibration, log: Mounted) -> Calibration:
+    """Return the calibration with the axes and the autopilot of its log in its configuration, for `export`."""
     known: dict[str, Any] = {} if log.gyroscope_axes == OWN_AXES else {"gyroscope_axes": log.gyroscope_axes}
-    if clock_drift:
-        known["clock_drift"] = clock_drift
     if log.autopilot is not None:
         known["autopilot"] = log.autopilot.to_dict()
     return _with(calibration, "configuration", known) if known else calibration

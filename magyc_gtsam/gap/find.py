@@ -9,7 +9,7 @@ from typing import overload
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import on_recording
-from magyc_gtsam.calibration.noted import as_mounted, noted
+from magyc_gtsam.calibration.noted import as_mounted, noted, with_clock_drift
 from magyc_gtsam.estimators.smoother.clock_drift import restamped
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
@@ -100,8 +100,8 @@ def find_gap(
         gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
     fitted = noted(gap.calibration, recordings=[fingerprint(recording)])
-    base = as_mounted(gap.base, recording, drift)
-    return replace(gap, calibration=as_mounted(fitted, recording, drift), base=base)
+    fitted, base = (with_clock_drift(as_mounted(each, recording), drift) for each in (fitted, gap.base))
+    return replace(gap, calibration=fitted, base=base)
 
 
 def _side(

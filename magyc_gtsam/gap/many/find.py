@@ -32,7 +32,6 @@ from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.recording.fingerprint import fingerprint, first_shared
 
-_RIVALS = 3  # sudden effects that are fitted in place of a varying field
 Progress = Callable[[float], None]
 
 
@@ -151,7 +150,7 @@ def _instead(state: _State, varying: WeighedOverLogs, weighed: Sequence[WeighedO
     a field that varies follows it.
     """
     best, least = None, MODEL.remain * varying.nats
-    for rival in [each for each in weighed if _sudden(each) and each.nats > MODEL.sure][:_RIVALS]:
+    for rival in [each for each in weighed if _sudden(each) and each.nats > MODEL.sure][: MODEL.rivals]:
         ahead = _with_effect(state, rival, _alternatives(weighed))
         left = sum(log.varying[0] for log in ahead.logs)
         if left < least:

@@ -27,6 +27,8 @@ class ManyModel:
             have the catalogue's form.
         remain_apart: the same as an effect that is no rival: effects of twice their published strength leave 0.2 and
             0.4 % of theirs as another one, and a delay beside a current of four times its strength is 6 %.
+        rivals: number of sudden effects that are fitted in place of a varying field: jumps of hard and soft iron, and a
+            stay beside an object.
         few: share of the logs up to which an effect without a name is attributed to these logs alone.
         most: number of effects at which a search ends.
         alone: nats from which one log alone names an effect on the noise.
@@ -42,6 +44,7 @@ class ManyModel:
     generic: float = 0.05
     remain: float = 0.08
     remain_apart: float = 0.01
+    rivals: int = 3
     few: float = 0.34
     most: int = 5
     alone: float = 6.0
