@@ -33,6 +33,7 @@ CATALOGUE = [
     "current-squared",
     "temperature-hard-iron",
     "temperature-gain",
+    "gain-drift",
     "load-soft-iron",
     "soft-iron-step",
     "gyro-bias-step",

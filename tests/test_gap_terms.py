@@ -36,6 +36,7 @@ def signals(n: int = 50) -> Signals:
 SETTINGS = {
     "hard-iron-step": {"time": 2.0},
     "hard-iron-drift": {"order": 2.0, "start": 0.0, "end": 5.0},
+    "gain-drift": {"order": 2.0, "start": 0.0, "end": 5.0},
     "soft-iron-step": {"time": 2.0},
     "gyro-bias-step": {"time": 2.0},
     "gyro-bias-drift": {"order": 2.0, "start": 0.0, "end": 5.0},

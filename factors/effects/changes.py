@@ -91,8 +91,11 @@ def step(s: Signals, setting: Setting) -> Array:
 
 
 def during(s: Signals, setting: Setting) -> Array:
-    """Return the share (n,) of each row that is after `time` and before `until`, as far as the setting has them."""
-    return _after(s, setting.get("time", -np.inf)) - _after(s, setting.get("until", np.inf))
+    """Return the share (n,) of each row that is after `time` and before `until`, as far as the setting has them; that
+    before `until` or after `time` if `until` is earlier.
+    """
+    time, until = setting.get("time", -np.inf), setting.get("until", np.inf)
+    return _after(s, time) - _after(s, until) + (time > until)
 
 
 def _after(s: Signals, at: float) -> Array:
@@ -109,19 +112,31 @@ def drift(s: Signals, setting: Setting) -> Array:
 
     An order of 0 is a linear drift.
     """
+    return per_axis(_course(s, setting))
+
+
+def gain_drift(s: Signals, setting: Setting) -> Array:
+    """Return the columns of a gain per axis on the whole reading, hard iron included, with the course of a `drift`."""
+    return per_axis(_course(s, setting)) * _reading(s)
+
+
+def _course(s: Signals, setting: Setting) -> Array:
     share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
     order = int(setting["order"])
     if order == 0:
-        return per_axis(share[None] - 0.5)
+        return np.asarray(share[None] - 0.5)
     cosine = np.cos(np.pi * np.clip(share, 0.0, 1.0))
-    return per_axis(chebvander(cosine, order).T[1:])  # of order k: cos k φ
+    return np.asarray(chebvander(cosine, order).T[1:])  # of order k: cos k φ
 
 
 def temperature_gain(s: Signals, setting: Setting) -> Array:
     """Return the columns of a gain per axis on the whole reading, hard iron included, that follows the thermometer."""
     warm = beyond_reference(s.need("temperature"), setting)
-    reading = s.need("field") + s.need("hard_iron")[:, None]
-    return per_axis(lagged(s.need("time"), warm, setting.get("lag", 0.0))) * reading
+    return per_axis(lagged(s.need("time"), warm, setting.get("lag", 0.0))) * _reading(s)
+
+
+def _reading(s: Signals) -> Array:
+    return s.need("field") + s.need("hard_iron")[:, None]
 
 
 def current_squared(s: Signals, setting: Setting) -> Array:

@@ -18,6 +18,7 @@ MOMENTS = (
     "gyro-bias-step",
     "gyro-bias-drift",
     "hard-iron-drift",
+    "gain-drift",
     "local-anomaly",
 )
 DATED = (*MOMENTS, "tone")  # which has a phase

@@ -125,8 +125,8 @@ def _field_gradient(s: Signals, setting: Setting) -> Array:
 
 
 def _local_anomaly(s: Signals, setting: Setting) -> Array:
-    """Return the columns of an anomaly fixed in the world: constant from `time` to `until` (from the beginning or to
-    the end of the recording, where the setting has one of them), or with a Gaussian profile of `width` s around `time`.
+    """Return the columns of an anomaly fixed in the world: from `time` to `until` (`changes.during`), or with a
+    Gaussian profile of `width` s around `time`.
 
     The setting `passing` adds the derivative of the profile, as for a dipole that is passed.
     """
@@ -216,6 +216,7 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "temperature-gain": Form(
             "magnetometer", ("time", "temperature", "field", "hard_iron"), changes.temperature_gain
         ),
+        "gain-drift": Form("magnetometer", ("time", "field", "hard_iron"), changes.gain_drift),
         "current-squared": Form("magnetometer", ("time", "current"), changes.current_squared),
         "load-soft-iron": Form("magnetometer", ("current", "field"), changes.load_soft_iron),
         "soft-iron-step": Form("magnetometer", ("time", "field"), changes.soft_iron_step),

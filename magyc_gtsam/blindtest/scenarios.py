@@ -21,7 +21,8 @@ MOTIONS = ("wide", "moderate", "multi")
 # Groups of effects that are confused with each other by the table of effects; pairs of them do not test naming.
 RIVALS = (
     {"hard-iron-step", "hard-iron-drift", "temperature-hard-iron", "local-anomaly", "motor-current"},
-    {"temperature-hard-iron", "temperature-gain", "field-gradient"},
+    {"temperature-hard-iron", "temperature-gain", "field-gradient", "gain-drift"},
+    {"gain-drift", "hard-iron-drift", "local-anomaly"},
     {"motor-current", "current-squared", "load-soft-iron"},
     {"hard-iron-step", "soft-iron-step", "local-anomaly"},
     {"misalignment", "gyro-scale", "gyro-quadratic", "cubic", "saturation"},

@@ -28,7 +28,11 @@ RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOM
 )
 SEVERAL = "several names"
 # Without a thermometer what warms is equivalent to a slow drift.
-_FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",), "temperature-gyro": ("gyro-bias-drift",)}
+_FAIR_WITHOUT_CHANNEL = {
+    "temperature-hard-iron": ("hard-iron-drift",),
+    "temperature-gain": ("gain-drift",),
+    "temperature-gyro": ("gyro-bias-drift",),
+}
 # Consequences that may be named in addition: the readings of a free-running magnetometer are half a log period old on
 # average, and the ripple of a motor controller's current, which the current sensor does not follow, is a tone.
 _CONSEQUENCE = {"sample-hold": ("timing",), "motor-current": ("tone",)}

@@ -20,6 +20,7 @@ TERMS: dict[str, EffectTerm] = {
         iron.STEP,
         iron.DRIFT,
         soft_iron.TEMPERATURE_GAIN,
+        soft_iron.GAIN_DRIFT,
         soft_iron.LOAD,
         soft_iron.STEP,
         alignment.MISALIGNMENT,

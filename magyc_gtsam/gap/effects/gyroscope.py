@@ -11,6 +11,9 @@ from magyc_gtsam.gap.effects.iron import drifts, lagged, lagged_nearby, step_nea
 from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, at_time, behind, deviation_of_modes, vector
 from magyc_gtsam.gap.model.twin import Twin
 
+# rad/s, prior deviation of a change of the bias: chips move by 0.03 to 0.16 °/s per kelvin, by up to 3 °/s over 20 K.
+# Without a limit a jump in the second in which BROAD 01 is picked up from a table was one of 0.6 rad/s.
+_CHANGE = 0.05
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
 
 
@@ -101,6 +104,7 @@ TEMPERATURE = EffectTerm(
     ),
     unit="mrad/s per unit",
     matters=1e-3,
+    prior=_CHANGE,
     rivals=("temperature-hard-iron", "gyro-bias-step", "gyro-bias-drift"),
     say=_say_temperature,
     motion="let the temperature rise and fall during the recording",
@@ -118,6 +122,7 @@ BIAS_STEP = EffectTerm(
     ),
     unit="mrad/s",
     matters=1e-3,
+    prior=_CHANGE,
     rivals=("temperature-gyro", "gyro-bias-drift"),
     say=_say_step,
     motion="rest for some seconds before and after the moment in question",
@@ -135,6 +140,7 @@ BIAS_DRIFT = EffectTerm(
     ),
     unit="mrad/s",
     matters=1e-3,
+    prior=_CHANGE,
     rivals=("temperature-gyro", "gyro-bias-step"),
     say=_say_drift,
     motion="rest for some seconds now and then, and log the temperature",

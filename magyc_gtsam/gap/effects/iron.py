@@ -66,20 +66,21 @@ def lagged_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     return [dict(setting) | {"lag": lag} for lag in lags if lag < twin.time[-1] - twin.time[0]]
 
 
-def _edges(twin: Twin, count: int) -> Array:
-    edges = 0.5 * (twin.time[1:] + twin.time[:-1])[_MARGIN:-_MARGIN]
+def edges_of(twin: Twin, count: int, margin: int = _MARGIN) -> Array:
+    """Return up to `count` times between windows, none within `margin` windows of either end."""
+    edges = 0.5 * (twin.time[1:] + twin.time[:-1])[margin : len(twin.time) - 1 - margin]
     return edges[np.unique(np.linspace(0, len(edges) - 1, min(count, len(edges))).astype(int))]
 
 
 def step_times(twin: Twin, count: int = _FEWER) -> list[dict[str, float]]:
     """Return single steps at up to `count` times."""
-    return [{"time": float(t)} for t in _edges(twin, count)]
+    return [{"time": float(t)} for t in edges_of(twin, count)]
 
 
 def _jumps(twin: Twin) -> list[dict[str, float]]:
     """Return single steps, and pairs of opposite steps of an object that is attached and removed again."""
     single = step_times(twin, _STEPS)
-    coarse = _edges(twin, _ENDS)
+    coarse = edges_of(twin, _ENDS)
     shortest = 1.5 * (coarse[-1] - coarse[0]) / _ENDS  # an object that stays for less was passed, not attached
     return single + [{"time": float(a), "until": float(b)} for a, b in combinations(coarse, 2) if b - a > shortest]
 
@@ -88,9 +89,11 @@ def _jumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     return step_nearby(twin, setting, _ENDS if "until" in setting else _STEPS)
 
 
-def step_nearby(twin: Twin, setting: Setting, count: int = _FEWER) -> list[dict[str, float]]:
-    """Return steps at every time near the found one, of `count`, and inside the windows beside it."""
-    edges = _edges(twin, twin.n)
+def step_nearby(
+    twin: Twin, setting: Setting, count: int = _FEWER, margin: int = _MARGIN
+) -> list[dict[str, float]]:
+    """Return steps at every time near the found one, of `step_times`, and inside the windows beside it."""
+    edges = edges_of(twin, twin.n, margin)
     width = 1.1 * (edges[-1] - edges[0]) / min(count, len(edges))
     inside = np.linspace(-1.0, 1.0, 2 * _IN_WINDOW + 1) * float(np.median(np.diff(edges)))
     result = [dict(setting)]
@@ -98,7 +101,12 @@ def step_nearby(twin: Twin, setting: Setting, count: int = _FEWER) -> list[dict[
         if end in setting:
             near = [*edges[np.abs(edges - setting[end]) <= width], *(setting[end] + inside)]
             result += [dict(setting) | {end: float(t)} for t in near]
-    return [s for s in result if s.get("time", -np.inf) < s.get("until", np.inf)]
+    outside = _ends_first(setting)
+    return [s for s in result if _ends_first(s) == outside]
+
+
+def _ends_first(setting: Setting) -> bool:
+    return setting.get("until", np.inf) <= setting.get("time", -np.inf)
 
 
 def irregular_drifts(twin: Twin) -> Iterator[dict[str, float]]:

@@ -1,4 +1,4 @@
-"""Gain and soft iron that change: with temperature, with a current, or in a step."""
+"""Gain and soft iron that change: with temperature, with time, with a current, or in a step."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import ENTRIES
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects.iron import circuits, lagged, lagged_nearby, step_nearby, step_times
-from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, vector
+from magyc_gtsam.gap.effects.iron import circuits, drifts, lagged, lagged_nearby, step_nearby, step_times
+from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, deviation_of_modes, vector
 
 
 def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
     late = behind(setting, "the thermometer")
     return f"the magnetometer's gain depends on temperature, by {vector(value, sigma)} % per unit of it{late}"
+
+
+def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
+    if setting["order"] == 0:
+        return f"the magnetometer's gain drifted by {vector(value, sigma)} % over the recording"
+    by = deviation_of_modes(value)
+    return f"the magnetometer's gain drifted, by {by} % (standard deviation) over the recording"
 
 
 def _say_load(value: Array, sigma: Array, setting: Setting) -> str:
@@ -35,11 +42,27 @@ TEMPERATURE_GAIN = EffectTerm(
     ),
     unit="% per unit",
     matters=6e-3,
-    rivals=("temperature-hard-iron",),
+    rivals=("temperature-hard-iron", "gain-drift"),
     say=_say_gain,
     motion="let the temperature rise and fall during the recording, while turning over",
     settings=lagged,
     refined=lagged_nearby,
+)
+GAIN_DRIFT = EffectTerm(
+    name="gain-drift",
+    label="slow drift of the magnetometer's gain",
+    physics=(
+        "The sensitivity of a magnetometer changes while it warms up, and with its supply, by a percent in some "
+        "minutes. It multiplies all that the sensor reads, including the field of the hard iron. Without a "
+        "thermometer it includes what follows the temperature, and a field of the place that grows looks the same."
+    ),
+    unit="%",
+    matters=6e-3,
+    prior=0.05,
+    rivals=("temperature-gain", "hard-iron-drift"),
+    say=_say_drift,
+    motion="let the instrument warm up before, or log its temperature, and turn over now and then",
+    settings=drifts,
 )
 LOAD = EffectTerm(
     name="load-soft-iron",

@@ -6,7 +6,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects.iron import references, step_nearby, step_times
+from magyc_gtsam.gap.effects.iron import edges_of, references, step_nearby
 from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, measured
 from magyc_gtsam.gap.effects.turns import turned
 from magyc_gtsam.gap.model.twin import Twin
@@ -15,7 +15,10 @@ from magyc_gtsam.gap.rules import RULES
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
 _SPACING = 2.0  # of the centres, in widths; the derivative of the bump covers times between them
 _CENTRES = 170  # largest number of centres for each width
-_PLACES = 100  # times at which the field of the place may change
+_PLACES = (
+    100  # times at which the field of the place may change, and each of some windows at both ends: a log begins
+)
+_AT_ENDS = 20  # and ends where the vehicle is picked up and put down
 # times at which it may be the first one again; if the direction of the field changes more than its strength, a stay
 # whose end is a few seconds off explains no more than one without an end
 _ENDS = 300
@@ -55,16 +58,23 @@ def _passings_and_stays(twin: Twin) -> list[dict[str, float]]:
     Of two places of which none is known to be undisturbed, that of the longer stay counts as undisturbed.
     """
     middle = 0.5 * float(twin.time[0] + twin.time[-1])
-    changes = [setting["time"] for setting in step_times(twin, _PLACES)]
-    return _bumps(twin) + _possible(twin, [{"until" if time < middle else "time": time} for time in changes])
+    every = edges_of(twin, twin.n, 0)  # the vehicle may be picked up within the first window
+    changes = sorted({*edges_of(twin, _PLACES, 0), *every[:_AT_ENDS], *every[-_AT_ENDS:]})
+    return _bumps(twin) + _possible(
+        twin, [{"until" if time < middle else "time": float(time)} for time in changes]
+    )
 
 
 def _stays_between(twin: Twin, time: float) -> list[dict[str, float]]:
-    """Return stays that begin or end at a time; an object beside which the vehicle is for less was passed."""
+    """Return stays that begin or end at a time; an object beside which the vehicle is for less was passed.
+
+    One of more than half of the recording is undisturbed, and the field before and after it another one.
+    """
     shortest = 2 * max(_widths(twin), default=_WIDTHS[0])
-    ends = [setting["time"] for setting in step_times(twin, _ENDS)]
-    stays = [{"time": min(time, end), "until": max(time, end)} for end in ends if abs(end - time) > shortest]
-    return _possible(twin, stays)
+    ends = [float(end) for end in edges_of(twin, _ENDS, 0)]
+    half = 0.5 * float(twin.time[-1] - twin.time[0])
+    pairs = [sorted((time, end), reverse=abs(end - time) > half) for end in ends if abs(end - time) > shortest]
+    return _possible(twin, [{"time": begin, "until": end} for begin, end in pairs])
 
 
 def _possible(twin: Twin, stays: list[dict[str, float]]) -> list[dict[str, float]]:
@@ -90,7 +100,7 @@ def _ends(stays: list[dict[str, float]]) -> Array:
 
 def _nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     if "width" not in setting:
-        near = step_nearby(twin, setting, _PLACES)
+        near = _possible(twin, step_nearby(twin, setting, _PLACES, 0))
         one_end = len(setting) == 1 and _turns(twin, [dict(setting)])[0]
         return near + (_stays_between(twin, *setting.values()) if one_end else [])
     time, width = setting["time"], setting["width"]
@@ -108,17 +118,23 @@ def _say_gradient(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_anomaly(value: Array, sigma: Array, setting: Setting) -> str:
     if "width" not in setting:
-        spans = (
-            f"{word} {setting[end]:.0f} s" for word, end in (("from", "time"), ("to", "until")) if end in setting
-        )
         return (
-            f"the field of the place was another one {' '.join(spans)}, by {np.linalg.norm(value):.2g} µT: something "
+            f"the field of the place was another one {_when(setting)}, by {np.linalg.norm(value):.2g} µT: something "
             "magnetic was near the vehicle"
         )
     return (
         f"something magnetic in the surroundings was passed at {setting['time']:.0f} s "
         f"({setting['width']:.0f} s wide, {np.linalg.norm(value[:3]):.2g} µT)"
     )
+
+
+def _when(setting: Setting) -> str:
+    """Return "from 10 s to 20 s", "until 20 s", "from 10 s on" or "until 10 s and from 20 s on"."""
+    begin, end = (setting.get(name) for name in ("time", "until"))
+    if begin is not None and end is not None and begin < end:
+        return f"from {begin:.0f} s to {end:.0f} s"
+    parts = [f"until {end:.0f} s"] if end is not None else []
+    return " and ".join(parts + ([f"from {begin:.0f} s on"] if begin is not None else []))
 
 
 GRADIENT = EffectTerm(

@@ -25,7 +25,7 @@ from magyc_gtsam.gap.rules import RULES
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, setting, and its log prior
 Stack = tuple[Array, Array, list[Part]]
 COURSE, COLOUR, DRIFT = "time:sensor", "coloured-noise", "hard-iron-drift"
-_DRIFTS = (DRIFT, "gyro-bias-drift")
+_DRIFTS = (DRIFT, "gain-drift", "gyro-bias-drift")
 _AT_ONCE = 100_000  # numbers processed at once, so that they stay in the processor's cache
 
 

@@ -191,6 +191,8 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
             for alike in combinations(replaced, count):
                 powers = [one.powers.get(name, 0.0) for name in alike]
                 largest, power = max(powers), sum(powers)
+                if min(powers) < PRIOR.form * largest:  # no larger than a deviation of the largest from its form
+                    continue
                 rest = power - largest + seen
                 if rest <= PRIOR.shares.min() * power:
                     continue

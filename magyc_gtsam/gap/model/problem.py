@@ -18,6 +18,7 @@ from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.model.rests import rate_at_rest
 from magyc_gtsam.recording import Recording
 
 _STILL = 1e-9  # standard deviation of a constant channel relative to its largest value, from rounding
@@ -170,6 +171,11 @@ class Problem:
         intervals = self._ends - self.samples.starts
         result: Array = self._length * (intervals + 1) / np.maximum(intervals, 1)
         return result
+
+    @cached_property
+    def rate_at_rest(self) -> Array | None:
+        """The gyroscope's mean (3,), rad/s, over the rests; None without one."""
+        return rate_at_rest(self.recording)
 
     @cached_property
     def fastest(self) -> float:

@@ -12,6 +12,7 @@ from magyc_gtsam.estimators.smoother.axes import arrangements, check
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.model.rests import by_second, spread
 from magyc_gtsam.gap.preparation.held_clock import on_own_clock
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, lattice, sample_hold
@@ -61,18 +62,16 @@ def moving(recording: Recording) -> Recording:
     ends with a jump that no rotation explains is kept, because there iron did come or go.
     """
     time, field = recording.magnetometer
-    second = np.floor((time - time[0]) / RULES.window).astype(int)
-    number, starts, count = np.unique(second, return_index=True, return_counts=True)
+    number, starts, mean = by_second(time, field, time[0])
     if len(number) < 2 * RULES.rest_means:
         return recording
-    mean = np.add.reduceat(field, starts, axis=0) / count[:, None]
-    spread = float(np.sqrt(mean.var(axis=0).sum()))
+    size = spread(mean)
     stretches = np.lib.stride_tricks.sliding_window_view(mean, RULES.rest_means, axis=0)
-    calm = np.flatnonzero(np.ptp(stretches, axis=2).max(axis=1) < RULES.rest_same * spread)
+    calm = np.flatnonzero(np.ptp(stretches, axis=2).max(axis=1) < RULES.rest_same * size)
     still = np.zeros(len(mean), dtype=bool)
     still[np.unique(calm[:, None] + np.arange(RULES.rest_means))] = True
     edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)).reshape(-1, 2)
-    jumps = _jumps(recording, time[starts], mean, spread)
+    jumps = _jumps(recording, time[starts], mean, size)
     for first, end in edges:
         if jumps[max(first - RULES.rest_near, 0) : first].any() or jumps[end - 1 : end + RULES.rest_near].any():
             still[first:end] = False
@@ -80,18 +79,18 @@ def moving(recording: Recording) -> Recording:
         return recording
     spared = np.diff(np.floor((time - time[0]) / RULES.rest_spared), prepend=-1.0) > 0
     fresh = recording.magnetic_field_fresh.copy()
-    fresh[fresh] = ~still[np.searchsorted(number, second)] | spared
+    fresh[fresh] = ~np.repeat(still, np.diff(np.append(starts, len(time)))) | spared
     return replace(recording, magnetic_field_fresh=fresh)
 
 
-def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.ndarray:
+def _jumps(recording: Recording, time: Array, mean: Array, size: float) -> np.ndarray:
     """Return (n − 1,) whether the field changes more between successive means (n, 3) than the rotation explains."""
     when, rate = recording.gyroscope
     turned = summed_rate(when, np.linalg.norm(rate, axis=1))
     # A mean covers `window` s from its first sample on.
     turn = np.interp(time[1:] + RULES.window, when, turned) - np.interp(time[:-1], when, turned)
     change = np.linalg.norm(np.diff(mean, axis=0), axis=1)
-    result: np.ndarray = change > RULES.rest_jump * spread + 2 * spread * turn
+    result: np.ndarray = change > RULES.rest_jump * size + 2 * size * turn
     return result
 
 

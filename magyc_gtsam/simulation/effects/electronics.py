@@ -26,6 +26,14 @@ def _temperature_gain(field: Array, scene: Scene, size: float, random: np.random
     return field * (1 + size * warm[:, None] * share), {"share": share}
 
 
+def _gain_drift(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Let the sensitivity of each axis change as the sensor warms up."""
+    share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
+    duration = float(scene.time[-1] - scene.time[0])
+    warm = standardised(-np.exp(-(scene.time - scene.time[0]) / (random.uniform(0.2, 1.0) * duration)))
+    return field * (1 + size * warm[:, None] * share), {"share": share}
+
+
 def _saturation(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
     """Saturate the core softly, like a hyperbolic tangent, equally on all axes."""
     full = (1 - size) * float(np.abs(field).max())
@@ -52,6 +60,7 @@ def _axis_delays(field: Array, scene: Scene, size: float, random: np.random.Gene
 EFFECTS = {
     "timing": SimulatedEffect(Stage.ELECTRONICS, _timing),
     "temperature-gain": SimulatedEffect(Stage.ELECTRONICS, _temperature_gain, ("temperature",)),
+    "gain-drift": SimulatedEffect(Stage.ELECTRONICS, _gain_drift),
     "axis-delays": SimulatedEffect(Stage.ELECTRONICS, _axis_delays),
     "saturation": SimulatedEffect(Stage.ELECTRONICS, _saturation),
     "cubic": SimulatedEffect(Stage.ELECTRONICS, _cubic),

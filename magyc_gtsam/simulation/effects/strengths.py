@@ -127,6 +127,9 @@ NAMED_STRENGTHS: dict[str, Strength] = {
     "temperature-gain": Strength(
         6e-3, "1 per σ of the temperature", "0.6 % per σ of the temperature", "an uncompensated sensor"
     ),
+    "gain-drift": Strength(
+        6e-3, "1, standard deviation over the recording", "0.6 % (standard deviation)", "a sensor that warms up"
+    ),
     "gyro-bias-step": Strength(3 * _MRAD, "rad/s", "3 mrad/s", "0.2 °/s, of a consumer part after a shock"),
     "gyro-bias-drift": Strength(
         1.6 * _MRAD, "rad/s, root mean square about the mean", "1.6 mrad/s rms", "a part that wanders over minutes"
