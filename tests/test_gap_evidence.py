@@ -132,7 +132,7 @@ def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
     if not unknown:
         ratio[1] = 0.0  # nothing is left of a cause that one name explains
     seen = 100.0 if unknown else None
-    names = ("cubic", "gyro-scale", "timing", "tone")
+    names = ("cubic", "eddy-plane", "hysteresis", "tone")
     stated = marginals(normalised(summed([SetWeight(names, 0.0, seen, dict.fromkeys(names, 100.0))])))
     total = 1 + 3 * ratio[1] + 3 * ratio[2] + ratio[3]
     share = 1 - PRIOR.unforeseen
@@ -141,7 +141,7 @@ def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
 
 
 def test_a_varying_field_stays_if_no_unknown_cause_is_seen() -> None:
-    names = (FIELD_VARIATION, "cubic", "timing")
+    names = (FIELD_VARIATION, "cubic", "hysteresis")
     stated = marginals(normalised(summed([SetWeight(names, 0.0, None, dict.fromkeys(names, 100.0))])))
     assert stated[FIELD_VARIATION] == pytest.approx(1 - PRIOR.unforeseen)
     assert stated["cubic"] < stated[FIELD_VARIATION]
@@ -158,9 +158,11 @@ def test_a_varying_field_is_part_of_an_unknown_cause_if_it_moves_with_the_sensor
 
 def test_what_one_name_explains_but_for_its_form_is_that_effect() -> None:
     """Two hundredths of the power beside it make no other cause of it."""
-    names = ("cubic", "timing")
+    names = ("cubic", "hysteresis")
     alike, large = (
-        marginals(normalised(summed([SetWeight(names, 0.0, None, {"timing": 1000.0, "cubic": power})])))["timing"]
+        marginals(normalised(summed([SetWeight(names, 0.0, None, {"hysteresis": 1000.0, "cubic": power})])))[
+            "hysteresis"
+        ]
         for power in (500.0, 20.0)
     )
     assert alike < large == pytest.approx(1 - PRIOR.unforeseen)
@@ -170,11 +172,28 @@ def test_a_small_unknown_effect_is_no_part_of_a_large_name() -> None:
     """It must explain an eighth of what the name does."""
     least = PRIOR.rest * 1000.0
     small, large = (
-        marginals(normalised(summed([SetWeight(("timing",), 0.0, seen, {"timing": 1000.0})])))["timing"]
+        marginals(normalised(summed([SetWeight(("hysteresis",), 0.0, seen, {"hysteresis": 1000.0})])))[
+            "hysteresis"
+        ]
         for seen in (0.9 * least, 1.1 * least)
     )
     assert small > 0.97
     assert large < 0.7
+
+
+@pytest.mark.parametrize("seen", [None, 1000.0])
+def test_an_unknown_cause_hardly_resembles_what_every_instrument_has(seen: float | None) -> None:
+    """A delay is probably there, beside a cause that resembles other effects."""
+
+    def stated(*names: str) -> dict[str, float]:
+        powers = dict.fromkeys(names, 1000.0)
+        return marginals(normalised(summed([SetWeight(names, 0.0, seen, powers)])))
+
+    others, with_delay = stated("cubic", "hysteresis"), stated("cubic", "hysteresis", "timing")
+    assert with_delay["timing"] > 0.8
+    assert with_delay["timing"] > with_delay["cubic"]
+    assert with_delay["cubic"] == pytest.approx(others["cubic"], abs=0.05)
+    assert stated("cubic", "hysteresis", "eddy-plane")["cubic"] < with_delay["cubic"] - 0.002
 
 
 def test_a_product_pays_for_the_time_of_its_jump() -> None:

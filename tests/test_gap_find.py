@@ -307,7 +307,7 @@ def test_a_log_that_stands_still_is_refused_with_the_reason() -> None:
 def test_a_rest_counts_for_what_it_says() -> None:
     """Another field where the sensor rests does not change the delay, and is seldom called iron that came."""
     stepped = 0
-    for seed in (200, 201):
+    for seed in (200, 201, 202, 203):
         base = recording(seed, duration=400, delay=0.04)
         rest = base.time > 300
         first = int(np.argmax(rest))
@@ -328,7 +328,7 @@ def test_a_rest_counts_for_what_it_says() -> None:
         (timing,) = (h for h in gap.hypotheses if h.name == "timing")
         assert timing.significant
         assert timing.expected[0] == pytest.approx(40, abs=4 * timing.sigma[0])
-    assert stepped == 0
+    assert stepped <= 1  # of four
     # Iron that comes while it rests is kept, and found.
     jump = np.where((base.time > 350)[:, None], [0.0, 3e-5, 0.0], 0.0)
     assert moving(replace(resting, magnetic_field=field + jump)).magnetic_field_fresh.all()

@@ -175,3 +175,18 @@ def test_a_closed_gap_whose_calibration_is_uncertain_is_not_used() -> None:
     assert said(doubt.sentence) in render_gap(recording, gap)
     with pytest.raises(MagycError, match="must not be trusted"):
         calibration.export("px4")
+
+
+@pytest.mark.parametrize(("scale", "trusted"), [(0.3, True), (3.0, False)])
+def test_what_an_effect_moves_that_is_not_corrected_is_in_the_sigma(scale: float, trusted: bool) -> None:
+    """The calibration without a scale of the gyroscope, beside that with it; a large one moves it too far."""
+    recording = mg.simulate("moderate", 200, seed=28, effects=(("gyro-scale", scale),)).recording
+    plain, beyond = (widened(fitted(recording, *names)) for names in ((), ("gyro-scale",)))
+    calibration = as_calibration(plain, None)
+    alone, _ = judged(calibration, plain, recording, None)
+    beside, doubt = judged(calibration, plain, recording, None, beyond)
+    moved = as_calibration(beyond, None).hard_iron - calibration.hard_iron
+    variance = beside.covariance[6:9, 6:9] - alone.covariance[6:9, 6:9]
+    assert moved @ np.linalg.pinv(beside.covariance[6:9, 6:9]) @ moved < 1
+    assert np.linalg.eigvalsh(variance)[-1] > 0
+    assert (doubt is None) == beside.trusted == trusted

@@ -140,7 +140,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
     models = summed(each, sensor_variation(tree))
     for name, odds in said.items():  # beside every set
         there = {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
-        if name in ("spikes", "tone") and odds > 0:  # or a part of the unknown effect
+        if name == "spikes" and odds > 0:  # or a part of the unknown effect
             for (key, unknown), log in models.items():
                 if unknown:
                     models[key, unknown] = float(np.logaddexp(log, log + odds))

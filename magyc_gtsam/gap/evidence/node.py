@@ -191,6 +191,10 @@ class Node:
         """Return the key of the set with one name less."""
         return tuple(sorted(self.names_without(name)))
 
+    def has_one_more_than(self, other: Node) -> bool:
+        """Return whether the set is another one with one more name."""
+        return any(self.key_without(name) == other.key for name in self.key)
+
     def full(self, name: str) -> bool:
         """Return whether the set contains an effect as often as it may, or a special or a general case of it."""
         return self.names.count(name) >= TERMS[name].most or any(nested(name, other) for other in self.names)

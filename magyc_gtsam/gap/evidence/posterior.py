@@ -150,7 +150,7 @@ def _imitated(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[tuple[s
 def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
     """Return the log probability that a family is more than the deviation from its form of each effect beside it."""
     least = 1.0
-    children = (child for child in tree.nodes.values() if child.names and child.names[:-1] == node.names)
+    children = (child for child in tree.nodes.values() if child.has_one_more_than(node))
     for child in children if node.log + family.log > tree.best.log - PRIOR.close else ():
         found = child.found.get(family.name)
         if found is not None:
@@ -200,6 +200,7 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
                 if FIELD_VARIATION in alike and not evident:
                     continue
                 odds = (count - 1) * PRIOR.each_more + (0.0 if evident else PRIOR.all_named)
+                odds += len(PRIOR.everywhere.intersection(alike)) * PRIOR.rather_imitated
                 odds += min(sensor + PRIOR.world_ahead, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)

@@ -16,10 +16,12 @@ from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.skew import skew_from_score
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.gap.model.descent import prior_of
+from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.outcome.last_jump import doubt_of_last_jump
@@ -32,7 +34,11 @@ _SKEW = "misalignment"  # the term that is the skew of the chips, which is then 
 
 
 def judged(
-    calibration: Calibration, result: Refit, recording: Recording, strength: float | None
+    calibration: Calibration,
+    result: Refit,
+    recording: Recording,
+    strength: float | None,
+    beyond: Refit | None = None,
 ) -> tuple[Calibration, Doubt | None]:
     """Return a calibration with covariance and verdict as in `calibrate`, and the reason not to use it, if any.
 
@@ -41,6 +47,7 @@ def judged(
         result: the model at its minimum, with a covariance widened by the colour of the misfit.
         recording: the fitted data.
         strength: of the field, T, if it was given.
+        beyond: the model with effects that are present but not corrected: its parameters are as probable, or more.
     """
     model, fit = result.model, fit_of(result.twin)
     if all(term.name != _SKEW for term in model.terms):
@@ -48,6 +55,8 @@ def judged(
     count = int(model.free.sum())
     sensors = np.zeros((PARAMETERS, PARAMETERS))
     sensors[np.ix_(model.free, model.free)] = result.covariance[:count, :count]
+    if beyond is not None:
+        sensors = _reaching(beyond, model)
     if fit.skew is not None:
         sensors += fit.skew.gain @ fit.skew.covariance @ fit.skew.gain.T
     known, error = Posterior(model.parameters, sensors, fit.skew), model_error(fit, recording)
@@ -84,6 +93,15 @@ def judged(
         diagnostics={**calibration.diagnostics, **judgement.diagnostics},
     )
     return whole, doubt
+
+
+def _reaching(beyond: Refit, model: Model) -> Array:
+    """Return the covariance (13, 13) of a model's parameters by another one: its own and the squared distance."""
+    free, count = beyond.model.free, int(beyond.model.free.sum())
+    apart = beyond.model.parameters - model.parameters
+    result = np.outer(apart, apart)
+    result[np.ix_(free, free)] += beyond.covariance[:count, :count]
+    return result
 
 
 def _misalignment_error(result: Refit, error: ModelError, strength: float) -> MisalignmentError | None:

@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.effects.term import Term
-from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.effects import LABELS, MOMENTS, TERMS
 from magyc_gtsam.gap.effects.world import ANOMALY
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
@@ -87,9 +87,9 @@ def gap_of(
     open_places = {place: index for place, index in places.items() if not determined(plain, index)}
     unpaid = _not_worthwhile(result, last, {p: i for p, i in places.items() if p not in open_places})
     open_places |= unpaid
-    # An object that was passed is no part of the instrument: without its correction the covariance includes the misfit.
-    passed = {place for place in unpaid if found[place].name == ANOMALY.name}
-    word = verdict(found, result.leftover, open_places.keys() - passed)
+    # Without its correction the covariance includes what it moves; not for what changes the instrument at some time.
+    allowed = {place for place in unpaid if found[place].name not in MOMENTS or found[place].name == ANOMALY.name}
+    word = verdict(found, result.leftover, open_places.keys() - allowed)
     turned = tuple(term for term in added if term.name == "axis-order")  # already corrected in the fitted data
     started = as_calibration(base, strength, (*known, *turned))
     plainly, untrusted = judged(started, base, first.recording, strength)
@@ -101,7 +101,7 @@ def gap_of(
         if result.found and len(open_places) < len(found):
             after = measure(corrected.twin, final, fine, cleaned=result.recording)
             before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
-        used, untrusted = judged(final, corrected, result.recording, strength)
+        used, untrusted = judged(final, corrected, result.recording, strength, last if allowed else None)
         effects = describe(found, last, corrected, used, result.probabilities, open_places, unpaid)
         shifted = moved(plainly, used)
     untested = _untested(names, base)
