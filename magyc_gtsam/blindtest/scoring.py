@@ -35,7 +35,7 @@ _FAIR_WITHOUT_CHANNEL = {
 }
 # Consequences that may be named in addition: the readings of a free-running magnetometer are half a log period old on
 # average, and the ripple of a motor controller's current, which the current sensor does not follow, is a tone.
-_CONSEQUENCE = {"sample-hold": ("timing",), "motor-current": ("tone",)}
+_CONSEQUENCE = {"sample-hold": ("timing",), "motor-current": ("tone",), "current-squared": ("tone",)}
 
 
 @dataclass(frozen=True)

@@ -93,6 +93,7 @@ MISALIGNMENT = EffectTerm(
     ),
     unit="mrad",
     matters=5e-3,
+    ordinary=0.02,  # 0.3 to 1° in the units of BROAD and the phones
     rivals=("gyro-scale", "cubic"),
     say=_say_misalignment,
     motion="turn about all three axes: pitch and roll by 45° or more",
@@ -107,6 +108,7 @@ TIMING = EffectTerm(
     ),
     unit="ms",
     matters=5e-3,
+    ordinary=0.05,  # 5 to 40 ms in those
     rivals=("hysteresis", "g-sensitivity", "eddy-plane", "axis-delays"),
     parameters=("delay",),
     say=_say_timing,

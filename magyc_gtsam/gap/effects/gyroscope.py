@@ -71,6 +71,7 @@ SCALE = EffectTerm(
     unit="‰",
     matters=4e-3,
     prior=0.02,
+    ordinary=0.01,  # 0.1 to 0.5 % in the units of BROAD
     rivals=("misalignment", "gyro-quadratic"),
     parameters=RATE_MATRIX,
     say=_say_scale,

@@ -46,6 +46,7 @@ class EffectTerm:
         motion: the motion that would distinguish it from its rivals, in words for the helmsman.
         parameters: name of each value; repeated for several rows of a channel.
         prior: prior standard deviation of the value, in the unit of `matters`; 1 of most is larger than any value.
+        ordinary: size, SI, up to which every instrument has it; 0 if not every one has.
         settings: function that returns the grid of settings to search.
         refined: function that returns settings near a found one, finer than the grid; empty if there is no grid.
         block: function that returns the longest block of the held-out test, s, for a setting.
@@ -68,6 +69,7 @@ class EffectTerm:
     motion: str
     parameters: tuple[str, ...] = AXES
     prior: float = 1.0
+    ordinary: float = 0.0
     settings: Settings = plain
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: RULES.block

@@ -26,6 +26,7 @@ Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, settin
 Stack = tuple[Array, Array, list[Part]]
 COURSE, COLOUR, DRIFT = "time:sensor", "coloured-noise", "hard-iron-drift"
 _DRIFTS = (DRIFT, "gain-drift", "gyro-bias-drift")
+_IRREGULAR = (DRIFT, "gyro-bias-drift")  # a gain changes as slowly as a temperature
 _AT_ONCE = 100_000  # numbers processed at once, so that they stay in the processor's cache
 
 
@@ -126,7 +127,7 @@ def with_each_drift(model: Model, twin: Twin) -> tuple[list[Model], int]:
     """
     result: list[Model] = []
     for index, term in enumerate(model.terms):
-        if term.name in _DRIFTS and term.setting["order"]:
+        if term.name in _IRREGULAR and term.setting["order"]:
             fewer = 0
             for setting in irregular_drifts(twin):
                 fewer += setting["order"] < term.setting["order"]

@@ -117,6 +117,15 @@ class Node:
         return result
 
     @property
+    def ordinary(self) -> frozenset[str]:
+        """Return the names that every instrument has in the size of the set's term."""
+        return frozenset(
+            term.name
+            for index, term in enumerate(self.fit.model.terms)
+            if np.abs(self.fit.value_of(index)[0]).max() <= TERMS[term.name].ordinary
+        )
+
+    @property
     def present(self) -> tuple[str, ...]:
         """Return the names of the kept terms, with field variation and coloured noise if these are evident, sorted."""
         return tuple(sorted(self.powers))

@@ -29,42 +29,49 @@ class SetWeight(NamedTuple):
         log: nats.
         seen: power that an unknown effect explains beside the names; None without one.
         powers: that each name explains.
+        ordinary: names that every instrument has, in such a size.
     """
 
     names: tuple[str, ...]
     log: float
     seen: float | None = None
     powers: Mapping[str, float] = MappingProxyType({})
+    ordinary: frozenset[str] = frozenset()
 
 
 def weights(tree: Tree) -> Iterator[SetWeight]:
     """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect."""
-    tried = tree.nodes.keys() | tree.refused
     for node in tree.nodes.values():
-        key, powers = node.present, node.powers
-        form, (foreign, seen) = _families(tree, node, powers)
-        log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
-        yield SetWeight(key, log, None, powers)
-        if np.isfinite(foreign):
-            yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
-        for log, seen in _products(node, powers):
-            yield SetWeight(key, node.log + log, seen, powers)
-        for less, log, seen in _imitated(node, powers):
-            yield SetWeight(less, node.log + log, seen, powers)
-        colour = None if COLOUR in node.names or node.variation is None else node.found.get(COLOUR)
-        if colour is not None and node.key_with(COLOUR) not in tried:
-            nats, _ = _above([colour], [_deviation(node, powers, colour)])
-            yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + nats, None, powers)
-        for gain in node.moving:  # the only unknown effect that resembles a field of the place
-            yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
-        for each in node.found.values():  # sets that were not fitted, in linearised form
-            more = tuple(sorted((*node.names, each.name)))
-            if each.name in TERMS and each.name not in node.names and more not in tried:
-                large = each.power > PRIOR.form_of_field * node.of_field
-                if large.any():
-                    log = node.log + PRIOR.named + np.logaddexp.reduce(each.by_scale[large])
-                    with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
-                    yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
+        ordinary = node.ordinary
+        yield from (weight._replace(ordinary=ordinary) for weight in _weights_of(tree, node))
+
+
+def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
+    tried = tree.nodes.keys() | tree.refused
+    key, powers = node.present, node.powers
+    form, (foreign, seen) = _families(tree, node, powers)
+    log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
+    yield SetWeight(key, log, None, powers)
+    if np.isfinite(foreign):
+        yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
+    for log, seen in _products(node, powers):
+        yield SetWeight(key, node.log + log, seen, powers)
+    for less, log, seen in _imitated(node, powers):
+        yield SetWeight(less, node.log + log, seen, powers)
+    colour = None if COLOUR in node.names or node.variation is None else node.found.get(COLOUR)
+    if colour is not None and node.key_with(COLOUR) not in tried:
+        nats, _ = _above([colour], [_deviation(node, powers, colour)])
+        yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + nats, None, powers)
+    for gain in node.moving:  # the only unknown effect that resembles a field of the place
+        yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
+    for each in node.found.values():  # sets that were not fitted, in linearised form
+        more = tuple(sorted((*node.names, each.name)))
+        if each.name in TERMS and each.name not in node.names and more not in tried:
+            large = each.power > PRIOR.form_of_field * node.of_field
+            if large.any():
+                log = node.log + PRIOR.named + np.logaddexp.reduce(each.by_scale[large])
+                with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
+                yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
 
 
 def _above(families: Sequence[Weighed], least: Sequence[float]) -> tuple[float, float]:
@@ -200,7 +207,7 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
                 if FIELD_VARIATION in alike and not evident:
                     continue
                 odds = (count - 1) * PRIOR.each_more + (0.0 if evident else PRIOR.all_named)
-                odds += len(PRIOR.everywhere.intersection(alike)) * PRIOR.rather_imitated
+                odds += len(one.ordinary.intersection(alike)) * PRIOR.rarely
                 odds += min(sensor + PRIOR.world_ahead, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)

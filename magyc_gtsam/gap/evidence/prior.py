@@ -32,9 +32,7 @@ class Prior:
         each_more: log odds that one cause outside the catalogue, of which something is seen, resembles one more effect.
             It resembles a first one with even odds: in 6 of 14 foreign recordings of edition 207 with a certain unknown
             effect one effect of the catalogue is significant beside it.
-        everywhere: effects that every instrument has to some extent: of the six of BROAD and of the phones each has a
-            delay of 5 to 40 ms, a skew of 0.2 to 1° and scales of the gyroscope that are off by 0.2 to 2 %.
-        rather_imitated: log odds, for each of these, that such a cause resembles it although it is probably there.
+        rarely: log odds that such a cause resembles an effect that every instrument has in such a size.
         all_named: log odds that nothing of such a cause is detected as unknown beside the effects that it resembles. A
             magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. It was chosen
             with `each_more` on the foreign recordings of edition 311 and the real ones of edition 312.
@@ -80,8 +78,7 @@ class Prior:
     unforeseen: float = 0.015
     imitated: float = float(np.log(0.1))
     each_more: float = float(np.log(2.5))
-    everywhere: frozenset[str] = frozenset({"timing", "misalignment", "gyro-scale"})
-    rather_imitated: float = float(np.log(0.07))
+    rarely: float = float(np.log(0.07))
     all_named: float = float(np.log(0.002))
     rest: float = 0.125
     shares: Array = field(default_factory=lambda: 4.0 ** np.arange(-2.0, 1.0))
