@@ -87,6 +87,24 @@ def test_old_firmware() -> None:
         undo(logged, WHOLE, MOTOR, ONE_SET, [{}], 0)
 
 
+@pytest.mark.parametrize("lost", ["COMPASS_OFS_Y", "COMPASS_DIA_X", "COMPASS_ODI_Z"])
+def test_a_correction_that_is_not_all_in_the_log_is_not_guessed(lost: str) -> None:
+    """Of a damaged log: without DIA the matrix would be 1."""
+    with pytest.raises(MagycError, match=f"the log lacks {lost}, so the correction"):
+        undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [{k: v for k, v in PARAMETERS.items() if k != lost}], 0)
+
+
+def test_offsets_learned_in_flight_are_truncated() -> None:
+    """Of which the parameter knows nothing; logged without their fraction, they are larger by half a step."""
+    learned = np.array([-80.6, 200.4, 0.0])
+    parameters = PARAMETERS | {f"COMPASS_OFS_{a}": 0.0 for a in "XYZ"} | {"COMPASS_SCALE": 1.0}
+    logged = (RAW + learned) @ MATRIX.T
+    whole = np.tile(np.trunc(learned), (40, 1))
+    raw, notes = undo(logged, whole, np.zeros((40, 3)), ONE_SET, [parameters], 0)
+    np.testing.assert_allclose(raw - RAW, np.tile(learned - [-80.5, 200.5, 0.0], (40, 1)), atol=1e-9)
+    assert any("learned in flight" in note for note in notes)
+
+
 def test_rov(shared_data: Path) -> None:
     reader_of = pytest.importorskip("pymavlink.DFReader")
     path = shared_data / "ardusub_still.BIN"
@@ -167,6 +185,7 @@ def test_parameters_in_the_order_of_the_log(tmp_path: Path) -> None:
     messages: list[tuple[str, tuple]] = [
         ("PARM", (0, "COMPASS_DIA_X", 1.0)),
         ("PARM", (0, "COMPASS_SCALE", 0.0)),
+        *(("PARM", (0, f"COMPASS_ODI_{a}", 0.0)) for a in "XYZ"),
     ]
     raw = np.round(RAW)
     for k, m in enumerate(raw):
@@ -198,7 +217,8 @@ def test_without_pymavlink(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def flight() -> list[tuple[str, tuple]]:
-    messages: list[tuple[str, tuple]] = [("PARM", (0, "COMPASS_DIA_X", 0.0))]
+    names = (f"COMPASS_{part}_{axis}" for part in ("OFS", "DIA", "ODI") for axis in "XYZ")
+    messages: list[tuple[str, tuple]] = [("PARM", (0, name, 0.0)) for name in names]
     for k, m in enumerate(np.round(RAW).astype(int).tolist()):
         at = 1_000_000 + k * 100_000
         messages.append(("MAG", (at, 0, *m, 0, 0, 0, 0, 0, 0, 1, at)))
@@ -219,6 +239,8 @@ def vehicle(path: Path, simulation: mg.Simulation) -> Path:
     parameters |= {"COMPASS_PRIO1_ID": 9, "COMPASS_PRIO2_ID": 5}
     for driver, offset in zip(DRIVERS, IN_FLIGHT, strict=True):
         parameters |= {f"COMPASS_OFS{driver}_{a}": o for a, o in zip("XYZ", offset, strict=True)}
+        parameters |= {f"COMPASS_{part}{driver}_{a}": 0.0 for part in ("DIA", "ODI") for a in "XYZ"}
+        parameters |= {f"COMPASS_MOT{driver}_{a}": float(len(driver)) for a in "XYZ"} | {"COMPASS_MOTCT": 2}
     offsets = list(GYROSCOPE_IN_FLIGHT.values())
     for name, offset in GYROSCOPE_IN_FLIGHT.items():
         parameters |= {f"{name}_{a}": o for a, o in zip("XYZ", offset, strict=True)}
@@ -253,6 +275,9 @@ def test_exported_parameters_correct_the_compass_of_their_driver(tmp_path: Path,
     assert np.linalg.norm(field, axis=1).std() < 0.3 * np.linalg.norm(raw, axis=1).std()
     own = "INS_GYR2OFFS" if compass else "INS_GYROFFS"
     assert {n for n in rows if "GYR" in n} == {f"{own}_{a}" for a in "XYZ"}
+    # What corrects for the motors on the vehicle, and was undone, would be added once more.
+    motors = {f"COMPASS_MOT2_{a}": 0.0 for a in "XYZ"} if driver == "2" else {}
+    assert {n: value for n, value in rows.items() if "MOT" in n} == motors
     # The offset in flight would be replaced: what was exported was the rest, in the vehicle's axes.
     bias = [rows[f"{own}_{a}"] for a in "XYZ"]
     np.testing.assert_allclose(bias, simulation.truth.gyro_bias @ BOARD, atol=1e-3)

@@ -14,11 +14,15 @@ from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
+from magyc_gtsam.export import export
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.history import History
 from magyc_gtsam.history.log_factor import factor_of
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.px4_calibration import Parameters, mounting, undo
+from magyc_gtsam.io.px4_thermal import corrected
+from magyc_gtsam.recording.autopilot import Autopilot
 
 RAW = np.random.default_rng(2).normal(0, 0.4, (30, 3))  # gauss, the sensor's own frame
 STAMP = np.arange(30) * 1000 + 5_000_000
@@ -74,6 +78,63 @@ def test_parameters_that_change_in_the_log() -> None:
     value, notes, _ = undo("MAG", logged, STAMP, parameters, 77, corrected=True, rotated=True)
     np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
     assert any("changed within the log" in n for n in notes)
+
+
+@pytest.mark.parametrize("changed", ["identifier", "rotation"])
+def test_a_sensor_that_is_calibrated_or_turned_in_the_log(changed: str) -> None:
+    """From then on its parameters are in force; a rotation that was wrong before is not that of the vehicle."""
+    middle = int(STAMP[15])
+    if changed == "identifier":
+        initial, before = {"SENS_BOARD_ROT": 6}, RAW @ YAW_270.T
+        changes = tuple((middle, name, value) for name, value in MAG.items())
+    else:
+        initial, before = MAG | {"CAL_MAG0_ROT": 0}, correct(RAW, np.eye(3))
+        changes = ((middle, "CAL_MAG0_ROT", 6.0),)
+    logged = np.concatenate([before[:15], correct(RAW)[15:]])
+    value, notes, place = undo(
+        "MAG", logged, STAMP, Parameters(initial, changes), 77, corrected=True, rotated=True
+    )
+    np.testing.assert_allclose(value, RAW @ YAW_270.T, atol=1e-12)
+    assert (place.slot, place.device, place.problem) == (0, None, "")
+    np.testing.assert_allclose(place.axes, YAW_270, atol=1e-12)
+    assert any("changed within the log" in note for note in notes) == (changed == "identifier")
+
+
+def test_a_raw_message_is_corrected_for_temperature_as_px4_does() -> None:
+    """By the polynomial of the sensor with the identifier, clipped to its range."""
+    warm = np.linspace(-10.0, 70.0, 30)
+    parameters = {
+        "TC_M_ENABLE": 1,
+        "TC_M0_ID": 5,
+        "TC_M1_ID": 77,
+        "TC_M1_TREF": 20.0,
+        "TC_M1_TMIN": 0,
+        "TC_M1_TMAX": 50,
+    }
+    parameters |= {"TC_M0_X0_0": 9.0, "TC_M1_X0_0": 0.05, "TC_M1_X1_1": 2e-3, "TC_M1_X3_2": 1e-6}
+    offset = [[0.05, 2e-3 * (t - 20), 1e-6 * (t - 20) ** 3] for t in np.clip(warm, 0, 50)]
+    value, note = corrected("TC_M", RAW + offset, warm, parameters, 77)
+    np.testing.assert_allclose(value, RAW, atol=1e-12)
+    assert note == "TC_M1_*: the thermal correction of PX4 is subtracted, and stays"
+    for other, device in ((parameters | {"TC_M_ENABLE": 0}, 77), (parameters, 8), (parameters, None)):
+        assert corrected("TC_M", RAW, None, other, device) == (pytest.approx(RAW), "")
+    with pytest.raises(MagycError, match="which the message does not have"):
+        corrected("TC_M", RAW, None, parameters, 77)
+
+
+def test_a_correction_for_the_motors_that_a_raw_message_lacks_is_cleared() -> None:
+    """It would be added to the offset on the vehicle, which contains its mean."""
+    powered = Parameters(MAG | {"CAL_MAG_COMP_TYP": 2, "CAL_MAG0_XCOMP": 0.1, "CAL_MAG0_ZCOMP": -0.2})
+    place = undo("MAG", RAW, STAMP, powered, 77, corrected=False, rotated=False)[2]
+    text = export("px4", np.eye(3), np.zeros(3), autopilot=Autopilot("px4", place))
+    assert [line.split("\t")[2:4] for line in text.splitlines() if "COMP\t" in line] == [
+        ["CAL_MAG0_XCOMP", "0.00000000"],
+        ["CAL_MAG0_ZCOMP", "0.00000000"],
+    ]
+    assert Autopilot.from_dict(Autopilot("px4", place).to_dict()) == Autopilot("px4", place)
+    current = Term("motor-current", np.array([1e-7, 0, 0]), np.eye(3) * 1e-18)
+    text = export("px4", np.eye(3), np.zeros(3), terms=(current,), autopilot=Autopilot("px4", place))
+    assert sum("CAL_MAG0_XCOMP\t" in line for line in text.splitlines()) == 1
 
 
 def test_which_calibration_must_be_known() -> None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.export.ardupilot import ardupilot
 from magyc_gtsam.export.correction import Correction
 from magyc_gtsam.export.parts import with_terms
-from magyc_gtsam.export.places import OF_THE_FIRST, in_places, numbered, places_of
+from magyc_gtsam.export.places import OF_THE_FIRST, cleared, in_places, numbered, places_of
 from magyc_gtsam.export.px4 import px4
 from magyc_gtsam.export.ros import ros
 from magyc_gtsam.export.vectornav import vectornav
@@ -88,6 +88,7 @@ def export(
     correction, missing = with_terms(bare, after.terms, target, per_motor)
     placed, left_out = in_places(correction, *places)
     lines = numbered(TARGETS[target](placed), target, *places)
+    lines += cleared(lines, target, places[0])
     missing += ["motor-current"] if correction.motor is not None and target not in _WITH_MOTOR else []
     if target not in _WITH_TEMPERATURE:
         missing += ["temperature-hard-iron"] if correction.thermal is not None else []

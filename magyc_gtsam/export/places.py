@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.export.correction import Correction
+from magyc_gtsam.export.correction import Correction, number
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording.autopilot import Autopilot, Place, ardupilot_offset
 
@@ -73,6 +73,17 @@ def in_places(correction: Correction, magnetometer: Place, gyroscope: Place) -> 
         warming_gyro=None if warming is None else warming @ gyroscope_own,
     )
     return placed, remarks
+
+
+def cleared(lines: list[str], target: str, magnetometer: Place) -> list[str]:
+    """Return the lines that set to 0 what corrects the magnetometer on the vehicle, and did not in the recording."""
+    separator = "\t" if target == "px4" else ","
+    written = {part for line in lines if not line.startswith("#") for part in line.split(separator)}
+    names = [name for name in magnetometer.to_clear if name not in written]
+    if not names:
+        return []
+    remark = f"# {', '.join(names)}: 0, because the log's correction for the motors is not in this calibration."
+    return [remark, *(f"1\t1\t{name}\t{number(0.0)}\t9" if target == "px4" else f"{name},0" for name in names)]
 
 
 def numbered(lines: list[str], target: str, magnetometer: Place, gyroscope: Place) -> list[str]:

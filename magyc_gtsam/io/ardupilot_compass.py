@@ -43,11 +43,7 @@ def undo(
     Raises:
         MagycError: the log has no compass parameters, or the order of its corrections is unknown.
     """
-    if not any(name.startswith("COMPASS_") for name in parameters[-1]):
-        raise MagycError(
-            "the log holds no COMPASS_* parameters, so the correction in its MAG messages cannot be undone; "
-            "use a log that begins with its parameters"
-        )
+    _check_complete(parameters[-1], _number(slot_of(parameters[-1], instance)))
     raw = np.empty_like(logged)
     coarse = 0
     notes: list[str] = []
@@ -56,11 +52,11 @@ def undo(
         current = parameters[index]
         suffix = _number(slot_of(current, instance))
         matrix, scale = _matrix(current, suffix), _scale(current, suffix)
-        exact = np.array([current.get(f"COMPASS_OFS{suffix}_{axis}", np.nan) for axis in "XYZ"])
+        exact = np.array([current[f"COMPASS_OFS{suffix}_{axis}"] for axis in "XYZ"])
         # The parameter has the digits that were truncated, unless ArduPilot learned the offset in flight.
         fits = (np.abs(exact - offset[rows]) < 1).all(axis=1)
         coarse += int((~fits).sum())
-        added = np.where(fits[:, None], exact, offset[rows])
+        added = np.where(fits[:, None], exact, _not_truncated(offset[rows]))
         if "COMPASS_PMOT_EN" in current or f"COMPASS_SCALE{suffix}" in current:
             field = np.linalg.solve(matrix, (logged[rows] - motor[rows]).T).T / scale
         elif motor[rows].any() and not np.array_equal(matrix, np.eye(3)):
@@ -81,10 +77,38 @@ def undo(
         notes.append(f"applied in flight and undone: {', '.join(parts)}")
     if coarse:
         notes.append(
-            f"{coarse} offsets differ from the parameters (learned in flight) and are known to 1 milligauss"
+            f"{coarse} offsets differ from the parameters (learned in flight) and are known to ±0.5 milligauss "
+            "(0.05 µT), which the sigmas of the hard iron do not contain"
         )
     notes.append("ArduPilot logs the field in steps of 1 milligauss (0.1 µT)")
     return raw, tuple(notes)
+
+
+def _check_complete(parameters: dict[str, float], suffix: str) -> None:
+    """Raise a MagycError if parameters of a compass's correction are missing: OFS, or a part of DIA and ODI.
+
+    DIA and ODI are in every log of a firmware with a scale (2019) or a compensation per motor (2018).
+    """
+    if not any(name.startswith("COMPASS_") for name in parameters):
+        raise MagycError(
+            "the log holds no COMPASS_* parameters, so the correction in its MAG messages cannot be undone; "
+            "use a log that begins with its parameters"
+        )
+    offset, *matrix = ([f"COMPASS_{part}{suffix}_{axis}" for axis in "XYZ"] for part in ("OFS", "DIA", "ODI"))
+    of_matrix = [name for names in matrix for name in names]
+    recent = any(name in parameters for name in ("COMPASS_PMOT_EN", f"COMPASS_SCALE{suffix}", *of_matrix))
+    missing = [name for name in (*offset, *(of_matrix if recent else ())) if name not in parameters]
+    if missing:
+        raise MagycError(
+            f"the log lacks {', '.join(missing)}, so the correction in its MAG messages cannot be undone; use a log "
+            "that holds all its parameters, undamaged"
+        )
+
+
+def _not_truncated(whole: Array) -> Array:
+    """Return the mean of the numbers that are truncated towards zero to a whole one."""
+    result: Array = whole + 0.5 * np.sign(whole)
+    return result
 
 
 def slot_of(parameters: dict[str, float], instance: int) -> int:
@@ -106,7 +130,15 @@ def place_of(parameters: dict[str, float], instance: int) -> Place:
         turned = mounting(number)
     else:
         return Place(slot, problem=f"{name} {number} of the log is not a rotation that is known; set another")
-    return Place(slot, mounting=tuple(map(tuple, turned.tolist())))
+    return Place(slot, mounting=tuple(map(tuple, turned.tolist())), to_clear=_of_motors(parameters, slot))
+
+
+def _of_motors(parameters: dict[str, float], slot: int) -> tuple[str, ...]:
+    """Return the names of the parameters by which a compass is corrected for the motors, which `undo` takes back."""
+    names = [f"COMPASS_MOT{_number(slot)}_{axis}" for axis in "XYZ"] if parameters.get("COMPASS_MOTCT", 0) else []
+    if slot == 0:  # per motor only for the first compass
+        names.append("COMPASS_PMOT_EN")
+    return tuple(name for name in names if parameters.get(name, 0.0))
 
 
 def _number(index: int) -> str:

@@ -37,17 +37,17 @@ class Parameters:
     initial: Mapping[str, float]
     changes: tuple[tuple[int, str, float], ...] = ()
 
-    def at(self, name: str, stamp: Stamps, default: float) -> Array:
-        """Return the values (n,) of a parameter at stamps (n,) in µs."""
-        value = np.full(len(stamp), float(self.initial.get(name, default)))
-        for when, changed, new in self.changes:
-            if changed == name:
-                value[stamp >= when] = new
-        return value
+    def epochs(self, *prefixes: str) -> tuple[Stamps, list[Mapping[str, float]]]:
+        """Return the stamps (k,) in µs from which sets of the parameters with some prefixes are in force, and the sets.
 
-    def vector(self, pattern: str, stamp: Stamps, default: float) -> Array:
-        """Return the values (n, 3) of three parameters, named by `pattern` with X, Y, Z in place of {}."""
-        return np.column_stack([self.at(pattern.format(axis), stamp, default) for axis in "XYZ"])
+        The first set is in force from the beginning.
+        """
+        starts, sets = [np.iinfo(np.int64).min], [dict(self.initial)]
+        for stamp, name, value in self.changes:
+            if name.startswith(prefixes):
+                starts.append(stamp)
+                sets.append(sets[-1] | {name: value})
+        return np.array(starts, dtype=np.int64), list(sets)
 
 
 def undo(
@@ -62,6 +62,9 @@ def undo(
 ) -> tuple[Array, list[str], Place]:
     """Return raw values (n, 3) in the vehicle's frame, notes on what was undone, and the place of the parameters.
 
+    Which parameters are those of the sensor, its rotation and its calibration may change within the log. The place is
+    that at its end.
+
     Args:
         kind: kind of sensor.
         logged: (n, 3) in PX4's units (gauss, rad/s).
@@ -74,28 +77,29 @@ def undo(
     Raises:
         MagycError: the log does not say which calibration was applied, or it cannot be undone.
     """
-    index, notes = _index(kind, parameters, device, corrected)
-    place = _place(kind, parameters, device, index)
-    prefix = f"CAL_{kind}{index}_"
-    rotation = _rotation(prefix, parameters)
-    value = logged @ rotation if rotated else logged  # rows: x @ R is Rᵀx
-    if corrected and index is not None:
-        compensation = parameters.vector(f"{prefix}{{}}COMP", stamp, 0.0)
-        if kind == "MAG" and parameters.initial.get("CAL_MAG_COMP_TYP", 0) and compensation.any():
-            raise MagycError(
-                f"{prefix}XCOMP.. corrected the magnetometer by the motors' power, which cannot be undone; "
-                "read the uncorrected message if the log has it (magnetic_field='sensor_mag')"
-            )
-        offset = parameters.vector(f"{prefix}{{}}OFF", stamp, 0.0)
-        scale = _scale(prefix, parameters, stamp)
-        value = np.linalg.solve(scale, value[:, :, None])[:, :, 0] + offset
-        unit = "gauss" if kind == "MAG" else "rad/s"
-        text = ", ".join(f"{x:.5g}" for x in offset[0])
-        extra = "" if np.allclose(scale, np.eye(3)) else f" and scale {np.array2string(scale[0], precision=4)}"
-        notes.append(f"{prefix}* was applied in flight and is undone: offset ({text}) {unit}{extra}")
-        if (offset != offset[0]).any() or (scale != scale[0]).any():
-            notes.append(f"{prefix}* changed within the log; each sample was corrected by the values at its time")
-    place = replace(place, axes=tuple(map(tuple, rotation.tolist())))
+    starts, sets = parameters.epochs(f"CAL_{kind}", "SENS_BOARD_")
+    epoch = np.searchsorted(starts, stamp, side="right") - 1
+    value, notes, applied = np.empty_like(logged), list[str](), list[str]()
+    for number in np.unique(epoch):
+        rows, current = epoch == number, sets[number]
+        index, remarks = _index(kind, current, device, corrected)
+        turned_back = logged[rows] @ _rotation(f"CAL_{kind}{index}_", current) if rotated else logged[rows]
+        value[rows] = turned_back  # rows: x @ R is Rᵀx
+        if corrected and index is not None:
+            value[rows], undone = _uncorrected(kind, index, turned_back, current)
+            applied.append(undone)
+        notes += [remark for remark in remarks if remark not in notes]
+    different = list(dict.fromkeys(applied))
+    notes += different[:1]
+    if len(different) > 1 or (applied and len(applied) < len(np.unique(epoch))):
+        notes.append(f"CAL_{kind}n_* changed within the log; each sample was corrected by the values at its time")
+    last = sets[-1]
+    index, _ = _index(kind, last, device, corrected)
+    rotation = _rotation(f"CAL_{kind}{index}_", last)
+    place = replace(_place(kind, last, device, index), axes=tuple(map(tuple, rotation.tolist())))
+    if kind == "MAG" and not corrected and last.get("CAL_MAG_COMP_TYP", 0):
+        names = (f"CAL_MAG{place.slot}_{axis}COMP" for axis in "XYZ")
+        place = replace(place, to_clear=tuple(name for name in names if last.get(name, 0.0)))
     if not np.allclose(rotation, np.eye(3)):
         if rotated and index is None and not place.problem:
             why = f"the log does not say whether the sensor ({device}) turns with the board (SENS_BOARD_ROT)"
@@ -105,21 +109,47 @@ def undo(
     return value @ rotation.T, notes, place
 
 
-def _place(kind: str, parameters: Parameters, device: int | None, index: int | None) -> Place:
+def _uncorrected(kind: str, index: int, value: Array, parameters: Mapping[str, float]) -> tuple[Array, str]:
+    """Return values (n, 3) in the sensor's axes without the parameters number `index`, and a note.
+
+    Raises:
+        MagycError: the motors' power was compensated for, or the scale is singular.
+    """
+    prefix = f"CAL_{kind}{index}_"
+    if (
+        kind == "MAG"
+        and parameters.get("CAL_MAG_COMP_TYP", 0)
+        and _vector(parameters, f"{prefix}{{}}COMP", 0.0).any()
+    ):
+        raise MagycError(
+            f"{prefix}XCOMP.. corrected the magnetometer by the motors' power, which cannot be undone; "
+            "read the uncorrected message if the log has it (magnetic_field='sensor_mag')"
+        )
+    offset, scale = _vector(parameters, f"{prefix}{{}}OFF", 0.0), _scale(prefix, parameters)
+    unit = "gauss" if kind == "MAG" else "rad/s"
+    text = ", ".join(f"{x:.5g}" for x in offset)
+    extra = "" if np.allclose(scale, np.eye(3)) else f" and scale {np.array2string(scale, precision=4)}"
+    note = f"{prefix}* was applied in flight and is undone: offset ({text}) {unit}{extra}"
+    return np.linalg.solve(scale, value.T).T + offset, note
+
+
+def _place(kind: str, parameters: Mapping[str, float], device: int | None, index: int | None) -> Place:
     """Return the place of a sensor's parameters; a sensor without any is given the first that are free."""
     if index is not None:
         return Place(index)
     if device is None:
         return Place(problem=f"the log does not say which CAL_{kind}n_* are those of the sensor")
-    free = [n for n in _INSTANCES if not parameters.initial.get(f"CAL_{kind}{n}_ID", 0)]
+    free = [n for n in _INSTANCES if not parameters.get(f"CAL_{kind}{n}_ID", 0)]
     if not free:
         return Place(problem=f"no CAL_{kind}n_ID is the sensor's ({device}), and all are in use by others")
     return Place(free[0], device)
 
 
-def _index(kind: str, parameters: Parameters, device: int | None, corrected: bool) -> tuple[int | None, list[str]]:
+def _index(
+    kind: str, parameters: Mapping[str, float], device: int | None, corrected: bool
+) -> tuple[int | None, list[str]]:
     """Return the number n of the CAL_MAGn or CAL_GYROn parameters of the sensor, None if it has none, and notes."""
-    identifiers = {n: int(parameters.initial.get(f"CAL_{kind}{n}_ID", 0)) for n in _INSTANCES}
+    identifiers = {n: int(parameters.get(f"CAL_{kind}{n}_ID", 0)) for n in _INSTANCES}
     known = [n for n, identifier in identifiers.items() if identifier != 0]
     if device is not None:
         matching = [n for n in known if identifiers[n] == device]
@@ -128,7 +158,7 @@ def _index(kind: str, parameters: Parameters, device: int | None, corrected: boo
         return (matching[0] if matching else None), []
     if len(known) == 1:
         return known[0], []
-    prime = int(parameters.initial.get(f"CAL_{kind}_PRIME", 0))
+    prime = int(parameters.get(f"CAL_{kind}_PRIME", 0))
     matching = [n for n in known if identifiers[n] == prime]
     if matching:
         return matching[0], [f"the log does not name the sensor; CAL_{kind}_PRIME ({prime}) is assumed"]
@@ -147,25 +177,27 @@ def _index(kind: str, parameters: Parameters, device: int | None, corrected: boo
     )
 
 
-def _scale(prefix: str, parameters: Parameters, stamp: Stamps) -> Array:
-    """Return the scale matrix (n, 3, 3) in force at each stamp."""
-    diagonal = parameters.vector(f"{prefix}{{}}SCALE", stamp, 1.0)
-    off = parameters.vector(f"{prefix}{{}}ODIAG", stamp, 0.0)
-    scale = np.empty((len(stamp), 3, 3))
-    for k in range(3):
-        scale[:, k, k] = diagonal[:, k]
+def _vector(parameters: Mapping[str, float], pattern: str, default: float) -> Array:
+    """Return the values (3,) of three parameters, named by `pattern` with X, Y, Z in place of {}."""
+    return np.array([float(parameters.get(pattern.format(axis), default)) for axis in "XYZ"])
+
+
+def _scale(prefix: str, parameters: Mapping[str, float]) -> Array:
+    """Return the scale matrix (3, 3)."""
+    scale = np.diag(_vector(parameters, f"{prefix}{{}}SCALE", 1.0))
+    off = _vector(parameters, f"{prefix}{{}}ODIAG", 0.0)
     for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
-        scale[:, i, j] = scale[:, j, i] = off[:, k]
-    if (np.abs(np.linalg.det(scale)) < 1e-6).any():
+        scale[i, j] = scale[j, i] = off[k]
+    if abs(np.linalg.det(scale)) < 1e-6:
         raise MagycError(
             f"{prefix}*SCALE, {prefix}*ODIAG: the matrix is singular, so the calibration cannot be undone"
         )
     return scale
 
 
-def _rotation(prefix: str, parameters: Parameters) -> Array:
+def _rotation(prefix: str, parameters: Mapping[str, float]) -> Array:
     """Return the rotation (3, 3) sensor→vehicle."""
-    get = parameters.initial.get
+    get = parameters.get
     number = int(get(f"{prefix}ROT", -1))
     if number == _CUSTOM_ROTATION:
         return euler(*(get(f"{prefix}{angle}", 0.0) for angle in ("ROLL", "PITCH", "YAW")))

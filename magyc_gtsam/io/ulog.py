@@ -10,6 +10,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed
+from magyc_gtsam.io import px4_thermal
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.px4_calibration import Parameters, undo
 from magyc_gtsam.io.px4_messages import Array, Message, device_of, load
@@ -155,14 +156,21 @@ def _magnetometer(
         logged, stamp = logged[new], stamp[new]
     if message.name == "vehicle_magnetometer":
         _refuse_estimated_bias(messages)
+    device = device_of(message, messages, "mag")
     # Before version 1.11 the driver corrected sensor_mag, which then also had x_raw; it is never rotated.
+    corrected = message.name != "sensor_mag" or "x_raw" in message.data
+    if not corrected:
+        logged, warm = px4_thermal.corrected(
+            "TC_M", logged, message.data.get("temperature"), parameters.initial, device
+        )
+        notes.extend([warm] if warm else [])
     raw, undone, place = undo(
         "MAG",
         logged,
         stamp,
         parameters,
-        device_of(message, messages, "mag"),
-        corrected=message.name != "sensor_mag" or "x_raw" in message.data,
+        device,
+        corrected=corrected,
         rotated=message.name != "sensor_mag",
     )
     notes.extend(undone)
@@ -198,19 +206,25 @@ def _gyroscope(
     except MagycError as error:  # the log changes between gyroscopes, which only changes the bias to estimate
         device, problem = None, str(error)
         notes.append(problem)
+    corrected = combined or "x_raw" in message.data
+    if not corrected:
+        logged, warm = px4_thermal.corrected(
+            "TC_G", logged, message.data.get("temperature"), parameters.initial, device
+        )
+        notes.extend([warm] if warm else [])
+    elif parameters.initial.get("TC_G_ENABLE", 0):
+        notes.append("the gyroscope's thermal correction (TC_G_*) was applied in flight and is kept")
     raw, undone, place = undo(
         "GYRO",
         logged,
         message.stamp,
         parameters,
         device,
-        corrected=combined or "x_raw" in message.data,
+        corrected=corrected,
         rotated=combined,
     )
     notes.extend(undone)
     place = replace(place, problem=problem or place.problem)
-    if parameters.initial.get("TC_G_ENABLE", 0):
-        notes.append("the gyroscope's thermal correction (TC_G_*) was applied in flight and is kept")
     scale = request.scale("angular_rate", notes=notes)
     stream = Stream(message.label, message.stamp * 1000, raw * scale)
     if combined and ("gyro_integral_dt" in message.data):

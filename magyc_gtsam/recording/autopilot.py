@@ -24,6 +24,8 @@ class Place:
         device: identifier to be written with them, of a sensor that has no slot yet; None leaves the present one.
         axes: (3, 3), from the axes in which the firmware applies the parameters to those of the recording.
         mounting: (3, 3), by which it turns the readings before it applies them; an export with a rotation includes it.
+        to_clear: names of parameters that correct the sensor on the vehicle, and not in the recording: an export sets
+            them to 0, if it has no value for them.
         problem: why no parameters can be written; "" if they can.
 
     Raises:
@@ -34,6 +36,7 @@ class Place:
     device: int | None = None
     axes: tuple[tuple[float, ...], ...] = _UNTURNED
     mounting: tuple[tuple[float, ...], ...] = _UNTURNED
+    to_clear: tuple[str, ...] = ()
     problem: str = ""
 
     def __post_init__(self) -> None:
@@ -42,6 +45,9 @@ class Place:
             raise MagycError(f"autopilot: slot and device must be whole numbers from 0, got {whole!r:.60}")
         if not isinstance(self.problem, str):
             raise MagycError(f"autopilot: problem must be a text, got {self.problem!r:.60}")
+        if isinstance(self.to_clear, str) or not all(isinstance(name, str) for name in self.to_clear):
+            raise MagycError(f"autopilot: to_clear must be names, got {self.to_clear!r:.60}")
+        object.__setattr__(self, "to_clear", tuple(self.to_clear))
         for name in ("axes", "mounting"):
             object.__setattr__(self, name, _rows(name, getattr(self, name)))
 
@@ -74,6 +80,7 @@ class Autopilot:
         places = {name: asdict(getattr(self, name)) for name in ("magnetometer", "gyroscope")}
         for place in places.values():
             place |= {name: [list(row) for row in place[name]] for name in ("axes", "mounting")}
+            place["to_clear"] = list(place["to_clear"])
         return {"firmware": self.firmware, **places}
 
     @classmethod
