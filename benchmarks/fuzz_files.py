@@ -47,7 +47,8 @@ def dataflash(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
         return bytes([0xA3, 0x95, number]) + struct.pack(layout, *given)
 
     data = b"".join(add("FMT", n, 3 + struct.calcsize(s), k, c, names) for k, (n, c, s, names) in formats.items())
-    data += b"".join(add("PARM", 0, f"COMPASS_OFS_{axis}", 10.0) for axis in "XYZ")
+    offsets = {"COMPASS_OFS_X": 10.0, "COMPASS_OFS_Y": 0.0, "COMPASS_OFS_Z": 0.0}
+    data += b"".join(add("PARM", 0, name, value) for name, value in offsets.items())
     field = (made.magnetic_field * 1e7).round().astype(int).tolist()
     for at, m, w in zip(_micro(made), field, made.angular_rate, strict=True):
         data += add("MAG", at, 0, *m, 10, 0, 0, 0, 0, 0, 1)

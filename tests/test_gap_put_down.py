@@ -91,3 +91,13 @@ def test_a_rest_does_not_turn_by_a_wrong_bias() -> None:
     still, moved = turned(twin, start + np.array([2.0, 40.0]), start + np.array([12.0, 50.0]))
     assert still < 0.02
     assert moved > 0.3
+
+
+def test_a_turn_that_the_gyroscope_missed_is_no_other_place() -> None:
+    """A wrong sample of the gyroscope near the end leaves the strength of the field as it was."""
+    simulation = mg.simulate("low", 300, seed=7)
+    recording = simulation.recording
+    rate = recording.angular_rate.copy()
+    rate[-8] += [0.0, 0.0, 3.0]  # of which 0.1 s are 17°
+    gap = mg.find_gap(replace(recording, angular_rate=rate))
+    assert "local-anomaly" not in gap.names, gap.sentence

@@ -171,3 +171,16 @@ def test_spikes_of_the_other_log_are_left_out_as_in_any(calibration: mg.Calibrat
     spiky = replace(recording, angular_rate=rate)
     (clean,), (spoilt,) = agreement(recording, calibration), agreement(spiky, calibration)
     assert spoilt.open_loop.rms < 1.1 * clean.open_loop.rms
+
+
+def test_the_measured_strength_of_one_place_is_not_that_of_another() -> None:
+    """The instrument is the same where the field is 2 % stronger; a strength that was given is another matter."""
+    here, there = (mg.simulate("wide", 200, seed=seed).recording for seed in (61, 62))
+    hard_iron = mg.simulate("wide", 200, seed=62).truth.hard_iron
+    there = replace(there, magnetic_field=(there.magnetic_field - hard_iron) * 1.02 + hard_iron)
+    calibration = mg.calibrate(here)
+    gap = mg.find_gap(there, calibration=calibration)
+    assert gap.verdict == "none", gap.sentence
+    assert np.linalg.det(gap.calibration.soft_iron) == pytest.approx(1.0)
+    measured, _ = agreement(there, calibration, mg.calibrate(there))
+    assert measured.open_loop.rms < 1.2 * measured.open_loop.floor

@@ -105,6 +105,9 @@ class Rules:
     # rad, root mean square rotation during a stay, above which a field of the place is not one of the vehicle: at rest
     # before its magnet is attached BROAD 32 has 0.1, by a wrong bias; stays on the motion "tiny" have 0.8
     stay_turns: float = 0.3
+    # change of the field's strength by another place, relative to that of the field, below which a turn is missing:
+    # BROAD 01 and 06 have 0.8 on their table, spikes of the gyroscope 0.1 and less; one of ten real places is below
+    stay_stronger: float = 0.1
     # s, between changes that are one event, and before and after a change of the place, when the vehicle moves
     at_once: float = 1.0
     # rad, rotation as above within that time around a change of the place, from which the vehicle moved there: BROAD 01

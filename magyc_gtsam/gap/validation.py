@@ -77,8 +77,15 @@ def _predicted(recording: Recording, calibration: Calibration) -> Twin:
             "without which it predicts nothing; calibrate with smoother"
         )
     recording = _prepared(recording, calibration)
+    calibration = replace(calibration, field_strength=_strength_at(recording, calibration))
     problem = Problem.of(recording, preintegrate(recording, RULES.window))
     return _own_bias(problem, as_model(problem, calibration))
+
+
+def _strength_at(recording: Recording, calibration: Calibration) -> float:
+    """Return the strength of the calibrated field in a recording, T: it is that of its place."""
+    field = np.linalg.solve(calibration.soft_iron, (recording.magnetometer.value - calibration.hard_iron).T)
+    return float(np.median(np.linalg.norm(field, axis=0)))
 
 
 @one_thread

@@ -13,8 +13,10 @@ from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
 from magyc_gtsam.history.log_factor import LogFactor
 from magyc_gtsam.history.model import DAY
+from magyc_gtsam.history.pooled import scale_of
 
 _MOST_GROUPS = 3  # that are named
+_OTHER_PLACES = 0.05  # relative scatter of the scales, above which a given strength is not that of all logs
 _FAR_APART = 1000.0  # days between two logs, from which a clock is suspected that was never set
 
 
@@ -39,8 +41,8 @@ def date_of(seconds: float) -> str:
 def doubt_of(
     factors: Sequence[LogFactor], groups: Sequence[Sequence[int]], instruments: Sequence[Instrument]
 ) -> HistoryDoubt | None:
-    """Return why the next log is not predicted: logs of several instruments, in the future, or a last log that is
-    left out.
+    """Return why the next log is not predicted: logs of several instruments or places, in the future, or a last log
+    that is left out.
     """
     several = [group for group in groups if len(group) > 1 or len(group) == len(groups[0])]
     if len(several) > 1:
@@ -54,6 +56,13 @@ def doubt_of(
     main = instruments[0]
     used = [k for k, i in enumerate(main.order) if factors[i].mean is not None]
     last = factors[main.order[used[-1]]]
+    newest = _newest(instruments)
+    if newest not in main.order:
+        return HistoryDoubt(
+            f"{factors[newest].name}, the last log, is of another instrument than those before it, or its iron changed",
+            "leave it out, or add another log of that instrument",
+            "The next log is not predicted",
+        )
     if _is_ahead(last):
         assert last.time is not None
         return HistoryDoubt(
@@ -67,7 +76,25 @@ def doubt_of(
             "add another log; if it agrees, the iron changed",
             "The next log is not predicted",
         )
+    _, sigma = scale_of([factors[i] for k, i in enumerate(main.order) if main.label[k] != WRONG])
+    if sigma > _OTHER_PLACES:
+        return HistoryDoubt(
+            f"the strengths of the field in the logs differ by {sigma:.0%} (1σ) from that of the given place",
+            "give the logs of each place with its own --location, or none",
+            "The logs are not of the given place",
+        )
     return None
+
+
+def _newest(instruments: Sequence[Instrument]) -> int:
+    """Return the index of the last log with a calibration, of whatever instrument."""
+    dated = [
+        (log.time, index)
+        for instrument in instruments
+        for log, index in zip(instrument.logs, instrument.order, strict=True)
+        if log.mean is not None
+    ]
+    return max(dated)[1]
 
 
 def far_apart(factors: Sequence[LogFactor]) -> list[str]:

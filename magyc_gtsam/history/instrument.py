@@ -32,6 +32,7 @@ from magyc_gtsam.history.log_factor import OBSERVED, SCALE, SHARED, LogFactor
 from magyc_gtsam.history.model import DAY, HistoryModel
 from magyc_gtsam.recording import Array
 
+_INTERVALS = 0.9  # quantile of the intervals between logs for which the next log is predicted
 _NEGLIGIBLE = 1e-3  # weight below which a walk is left out of the average
 _LEAST_ELAPSED = 1e-3  # days between neighbours, so that logs of the same minute may still differ
 
@@ -95,11 +96,18 @@ class Instrument:
         together = np.linalg.solve(weights.sum(axis=0), np.einsum("kij,kjl->il", weights, roots))
         return share * together @ together.T
 
+    @property
+    def horizon(self) -> float:
+        """The days after the last log for which the next one is predicted: all but the longest tenth of the intervals.
+
+        The logs of one trip follow each other in hours, and the next trip begins after a month.
+        """
+        elapsed = elapsed_of([log for log in self.logs if log.mean is not None], self.bank.dated)
+        return float(np.quantile(elapsed, _INTERVALS, method="nearest")) if len(elapsed) else 1.0
+
     @cached_property
     def ahead(self) -> tuple[Array, Array]:
-        """Mean (p + 3,) and covariance of the shared parameters and h, µT, after one median interval without jump."""
-        elapsed = elapsed_of([log for log in self.logs if log.mean is not None], self.bank.dated)
-        interval = float(np.median(elapsed)) if len(elapsed) else 1.0
+        """Mean (p + 3,) and covariance of the shared parameters and h, µT, at the `horizon` without a jump."""
         # A labelling that uses no log gives no prediction.
         calibrated = np.array([log.mean is not None for log in self.logs])
         used = ((self.bank.label != WRONG) & calibrated).any(axis=1)
@@ -112,7 +120,7 @@ class Instrument:
         of_cell = share.sum(axis=0)
         covariance[range(SHAPE), range(SHAPE)] += of_cell @ SCATTER_OF_CELL**2
         iron = range(len(mean) - 3, len(mean))
-        covariance[iron, iron] += interval * (of_cell @ WALK_OF_CELL**2)
+        covariance[iron, iron] += self.horizon * (of_cell @ WALK_OF_CELL**2)
         scale = range(SHAPE, len(mean) - 3)
         covariance[scale, scale] += self.model.gyroscope_scale_scatter**2
         return mean, covariance + self.shared_error

@@ -18,6 +18,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.estimators.smoother.gyroscope_scale import SCALED_AXES
+from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import clauses
@@ -58,7 +59,7 @@ class LogFactor:
         noise_covariance: its part by the sensors' noise; None if the method does not separate it.
         delay, delay_sigma: s; the sigma is None if the delay was not estimated.
         misalignment, misalignment_covariance: (3,) rad, (3, 3); None if the log did not show one.
-        log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
+        log_scale, log_scale_sigma: logarithm of the scale of the soft iron; None if the field strength was not given.
         field_strength: field strength, T, estimated or given.
         problem: why the log has no information; "" if it has.
         gyroscope_axes, autopilot: of its recording.
@@ -75,6 +76,7 @@ class LogFactor:
     misalignment: Array | None = None
     misalignment_covariance: Array | None = None
     log_scale: float | None = None
+    log_scale_sigma: float | None = None
     field_strength: float | None = None
     problem: str = ""
     samples: str = ""
@@ -203,6 +205,9 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
             covariance[GYRO_BIAS, GYRO_BIAS] = np.eye(3) * _UNKNOWN_BIAS**2
         covariances.append(0.5 * (covariance + covariance.T))
     strength_given = calibration.configuration.get("field_strength") is not None
+    # The derivative of ln ∛det S by vech(S).
+    by_scale = vech(np.linalg.inv(calibration.soft_iron)) * np.array([1, 2, 2, 1, 2, 1]) / 3
+    of_scale = float(np.sqrt(max(by_scale @ calibration.covariance[:6, :6] @ by_scale, 0.0)))
     skew = next((term for term in calibration.terms if term.name == "misalignment"), None)
     return LogFactor(
         name,
@@ -215,6 +220,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
         misalignment=None if skew is None else skew.value,
         misalignment_covariance=None if skew is None else skew.covariance,
         log_scale=log_scale if strength_given else None,
+        log_scale_sigma=of_scale if strength_given else None,
         field_strength=calibration.field_strength,
     )
 
@@ -241,14 +247,15 @@ def calibration_of(
     *,
     delay: tuple[float, float | None],
     terms: tuple[Term, ...],
-    log_scale: float,
+    log_scale: tuple[float, float],
     field_strength: float | None,
     message: str,
     diagnostics: Mapping[str, Any],
 ) -> Calibration:
     """Return the `Calibration` of (s, h, b), or (s, g, h, b), and their covariance; the inverse of `compress`."""
     slope = np.zeros((12, len(mean)))
-    slope[:6, :SHAPE] = soft_iron_slope(mean[:SHAPE], log_scale)
+    slope[:6, :SHAPE] = soft_iron_slope(mean[:SHAPE], log_scale[0])
+    soft_iron = soft_iron_of(mean[:SHAPE], log_scale[0])
     slope[6:9, HARD_IRON] = np.eye(3) * MICROTESLA
     slope[9:, GYRO_BIAS] = np.eye(3) * MILLIRADIAN
     if len(mean) == SIZE_WITH_SCALE:
@@ -256,10 +263,10 @@ def calibration_of(
         terms = (*terms, scale)
         diagnostics = {**diagnostics, "gyroscope_scale": (slope @ covariance[:, SCALE] * PER_MILLE).tolist()}
     return Calibration(
-        soft_iron=soft_iron_of(mean[:SHAPE], log_scale),
+        soft_iron=soft_iron,
         hard_iron=mean[HARD_IRON] * MICROTESLA,
         gyro_bias=mean[GYRO_BIAS] * MILLIRADIAN,
-        covariance=slope @ covariance @ slope.T,
+        covariance=slope @ covariance @ slope.T + _of_scale(soft_iron, log_scale[1]),
         delay=delay[0],
         delay_sigma=delay[1],
         terms=terms,
@@ -268,6 +275,12 @@ def calibration_of(
         field_strength=field_strength,
         diagnostics=diagnostics,
     )
+
+
+def _of_scale(soft_iron: Array, sigma: float) -> Array:
+    """Return the covariance (12, 12) of (vech S, h, b) by a scale of S of relative sigma."""
+    slope = np.concatenate([vech(soft_iron), np.zeros(6)])
+    return sigma**2 * np.outer(slope, slope)
 
 
 def date_of(recording: Recording) -> float | None:

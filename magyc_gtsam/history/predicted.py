@@ -9,13 +9,13 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.noted import as_mounted
-from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.bias_scatter import predicted_bias
 from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
 from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, LogFactor, calibration_of
 from magyc_gtsam.history.model import HistoryModel
+from magyc_gtsam.history.pooled import delay_of, misalignment_of, scale_of
 from magyc_gtsam.recording import Array
 
 
@@ -46,10 +46,16 @@ def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model
     mean, covariance = _without_bias(*instrument.ahead)
     mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument)
     last = next(factors[i] for i in reversed(instrument.order) if factors[i].mean is not None)
-    message = (
-        f"predicted from {counted(_logs_used(factors, instrument), 'log')}; it holds unless the hard iron jumps"
-    )
+    logs = counted(_logs_used(factors, instrument), "log")
+    message = f"predicted from {logs}; it holds {_for_how_long(instrument)}, unless the hard iron jumps"
     return _calibration(factors, instrument, mean, covariance, message, last)
+
+
+def _for_how_long(instrument: Instrument) -> str:
+    if not instrument.bank.dated:
+        return "for the next log"
+    days = instrument.horizon
+    return f"for {days:.0f} days after the last log" if days > 1.5 else f"for {24 * days:.2g} h after the last log"
 
 
 def _logs_used(factors: Sequence[LogFactor], instrument: Instrument) -> int:
@@ -87,53 +93,21 @@ def _calibration(
     log: LogFactor,
 ) -> Calibration:
     """Return the calibration, with the field strength and the gyroscope's axes of `log`."""
-    scales = [factors[i].log_scale for i in instrument.order]
-    known = [scale for scale in scales if scale is not None]
+    used = [factors[i] for i, label in zip(instrument.order, instrument.label, strict=True) if label != WRONG]
     diagnostics: dict[str, Any] = {
         "logs": len(instrument.order),
         "walk": instrument.walk,
         "scatter": instrument.scatter,
-        "recordings": [
-            factors[i].samples
-            for i, label in zip(instrument.order, instrument.label, strict=True)
-            if factors[i].samples and factors[i].mean is not None and label != WRONG
-        ],
+        "recordings": [each.samples for each in used if each.samples and each.mean is not None],
     }
     found = calibration_of(
         mean,
         0.5 * (covariance + covariance.T),
-        delay=_delay([factors[i] for i in instrument.order]),
-        terms=_misalignment([factors[i] for i in instrument.order]),
-        log_scale=float(np.mean(known)) if known else 0.0,
+        delay=delay_of(used),
+        terms=misalignment_of(used),
+        log_scale=scale_of(used),
         field_strength=log.field_strength,
         message=message,
         diagnostics=diagnostics,
     )
     return as_mounted(found, log)
-
-
-def _misalignment(logs: Sequence[LogFactor]) -> tuple[Term, ...]:
-    """Return the weighted mean misalignment, its covariance widened where the logs scatter beyond their sigmas."""
-    rows = [log.misalignment for log in logs if log.misalignment is not None]
-    if not rows:
-        return ()
-    each = [np.linalg.inv(log.misalignment_covariance) for log in logs if log.misalignment_covariance is not None]
-    covariance = np.linalg.inv(np.sum(each, axis=0))
-    mean = covariance @ np.einsum("kij,kj->i", each, rows)
-    off = np.array(rows) - mean
-    squares = float(np.einsum("ki,kij,kj->", off, each, off))
-    widened = max(1.0, squares / max(3 * len(rows) - 3, 1))  # Birge's ratio
-    return (Term("misalignment", mean, covariance * widened),)
-
-
-def _delay(logs: Sequence[LogFactor]) -> tuple[float, float | None]:
-    """Return the weighted mean delay and its sigma, widened where the logs scatter beyond their sigmas."""
-    rows = np.array([(log.delay, log.delay_sigma) for log in logs if log.mean is not None and log.delay_sigma])
-    if not len(rows):
-        fixed = [log.delay for log in logs if log.mean is not None]
-        return (fixed[-1] if fixed else 0.0), None
-    weight = 1 / rows[:, 1] ** 2
-    mean = float(weight @ rows[:, 0] / weight.sum())
-    squares = float(weight @ (rows[:, 0] - mean) ** 2)
-    widened = max(1.0, squares / max(len(rows) - 1, 1))  # Birge's ratio
-    return mean, float(np.sqrt(widened / weight.sum()))

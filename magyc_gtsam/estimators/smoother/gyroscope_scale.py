@@ -33,7 +33,7 @@ from magyc_gtsam.recording.held import with_equal_samples
 SCALE = "gyro-scale"
 SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # estimated elements of this term
 _FAMILIES = ("gyroscope:scale", "gyroscope:scales")
-_ROUNDS = 6
+_ROUNDS = 12
 _SETTLED = 0.01  # squared length of a step in sigmas
 _MOST = 4.0  # prior standard deviations beyond which g is not plausible as a scale error
 
@@ -105,19 +105,24 @@ def with_scale(recording: Recording, fit: Fit, options: SmootherOptions) -> Scal
         options: of the fit, with the prior standard deviation of each axis' scale, relative.
     """
     value, corrected, given, deviation = np.zeros(3), recording, fit, options.gyroscope_scale
+    most = _MOST * deviation
     fit = _beside_scale(recording, fit, value, options)
+    wanted = value
     for _ in range(_ROUNDS):
         scale = scale_of(fit, fit.colour * fit.widening)
         assert scale is not None
-        if np.abs(scale.value).max() > _MOST * deviation:
-            return ScaleError(recording, given, _doubt(scale.value, deviation))
-        step = scale.value - value
+        wanted = scale.value
+        # Far from the minimum a step may go beyond what is possible, although the minimum does not.
+        towards = np.clip(wanted, -most, most)
+        step = towards - value
         if step @ np.linalg.solve(scale.covariance, step) < _SETTLED:
             break
-        value = scale.value
+        value = towards
         corrected = corrected_rates(recording, value, fit.state.parameters[9:12])
         fit = fit_field_chain(corrected, options, start=fit.state.parameters)
         fit = _beside_scale(corrected, fit, value, options)
+    if np.abs(wanted).max() > most:
+        return ScaleError(recording, given, _doubt(wanted, deviation))
     return ScaleError(corrected, fit)
 
 

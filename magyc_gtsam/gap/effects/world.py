@@ -98,6 +98,20 @@ def _ends(stays: list[dict[str, float]]) -> Array:
     return np.array([[stay.get("time", -np.inf), stay.get("until", np.inf)] for stay in stays]).reshape(-1, 2)
 
 
+def _changes_strength(twin: Twin, value: Array, setting: Setting) -> bool:
+    """Return whether a field of the place changes the strength, too: one that is only turned is a turn that the
+    gyroscope missed, as by a wrong sample, after which the world of the model is another one.
+    """
+    if "width" in setting:
+        return True
+    windows = twin.windows
+    soft = windows.need("soft_iron")
+    true = np.linalg.solve(soft / np.cbrt(np.linalg.det(soft)), windows.need("field"))
+    field = np.einsum("jkn,jn->k", windows.need("to_sensor"), true) / twin.n
+    change = abs(float(np.linalg.norm(field + value) - np.linalg.norm(field)))
+    return change > RULES.stay_stronger * float(np.linalg.norm(value))
+
+
 def _nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     if "width" not in setting:
         near = _possible(twin, step_nearby(twin, setting, _PLACES, 0))
@@ -172,4 +186,5 @@ ANOMALY = EffectTerm(
     refined=_nearby,
     block=lambda setting: float(np.clip(0.5 * setting.get("width", np.inf), 1.0, RULES.block)),
     most=3,
+    possible=_changes_strength,
 )

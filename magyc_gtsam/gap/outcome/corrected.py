@@ -43,6 +43,13 @@ def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Ter
     )
 
 
+def given_strength(calibration: Calibration | None) -> float | None:
+    """Return the field strength, T, that was given for a calibration; a measured one is that of its place alone."""
+    known = {} if calibration is None else calibration.configuration
+    given = any(known.get(name) is not None for name in ("field_strength", "field"))
+    return calibration.field_strength if given and calibration is not None else None
+
+
 def unmoved(before: Calibration, after: Calibration) -> Calibration:
     """Return `after`, with the soft and hard iron of `before` if their difference is small relative to its sigmas.
 

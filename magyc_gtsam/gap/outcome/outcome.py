@@ -16,7 +16,7 @@ from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
 from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found, Named, as_found, term_places
-from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
+from magyc_gtsam.gap.outcome.corrected import as_calibration, given_strength, unmoved
 from magyc_gtsam.gap.outcome.described import describe
 from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, LOG_MORE, doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
@@ -40,7 +40,7 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
         doubt: the same in few words, with a remedy.
         calibration: the given calibration, if any.
     """
-    strength = None if calibration is None else calibration.field_strength
+    strength = given_strength(calibration)
     fitted = as_calibration(replace(base, converged=False), strength)
     sentence = f"not enough information: {reason}; nothing was tested"
     fitted = doubted(replace(fitted, message=sentence), doubt)
@@ -78,7 +78,7 @@ def gap_of(
         names: candidates.
         discrete: scores of effects that were corrected beforehand (held samples, exchanged axes).
     """
-    strength = None if calibration is None else calibration.field_strength
+    strength = given_strength(calibration)
     first, plain = result.first, widened(result.fitted)
     base, last = widened(first.refit), widened(tempered(plain.twin.problem, result.fitted, short_term))
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
