@@ -80,7 +80,7 @@ def doubt_of(
     if sigma > _OTHER_PLACES:
         return HistoryDoubt(
             f"the strengths of the field in the logs differ by {sigma:.0%} (1σ) from that of the given place",
-            "give the logs of each place with its own --location, or none",
+            "give the logs of each place alone, with its field, or all without a field",
             "The logs are not of the given place",
         )
     return None

@@ -99,10 +99,12 @@ def _ends(stays: list[dict[str, float]]) -> Array:
 
 
 def _changes_strength(twin: Twin, value: Array, setting: Setting) -> bool:
-    """Return whether a field of the place changes the strength, too: one that is only turned is a turn that the
-    gyroscope missed, as by a wrong sample, after which the world of the model is another one.
+    """Return whether a field of the place that does not end changes the strength, too.
+
+    One that is only turned is a turn that the gyroscope missed, as by a wrong sample, after which the world of the
+    model is another one for good.
     """
-    if "width" in setting:
+    if "width" in setting or {"time", "until"} <= setting.keys():
         return True
     windows = twin.windows
     soft = windows.need("soft_iron")
