@@ -9,6 +9,9 @@
 #include <gtsam/geometry/Pose3.h>
 #include <gtsam/nonlinear/NonlinearFactor.h>
 
+#include <stdexcept>
+#include <string>
+
 #include "magnetometer.hpp"
 
 namespace magyc {
@@ -21,6 +24,14 @@ using CalibrationFactor = gtsam::NoiseModelFactorN<gtsam::Pose3, gtsam::Vector, 
 using OptionalMatrix = boost::optional<gtsam::Matrix&>;
 using CalibrationFactor = gtsam::NoiseModelFactor3<gtsam::Pose3, gtsam::Vector, gtsam::Point3>;
 #endif
+
+/// The six elements of a soft iron; throws std::invalid_argument if a key holds another number of values.
+inline Vector6 elements(const gtsam::Vector& soft_iron) {
+  if (soft_iron.size() != 6)
+    throw std::invalid_argument("soft iron: the key holds " + std::to_string(soft_iron.size()) +
+                                " numbers, 6 are expected");
+  return Vector6(soft_iron);
+}
 
 /// One sample on (Pose3, soft iron, hard iron) in a known field.
 class MagnetometerFactor : public CalibrationFactor {
@@ -44,7 +55,7 @@ class MagnetometerFactor : public CalibrationFactor {
                               OptionalMatrix on_pose, OptionalMatrix on_soft_iron,
                               OptionalMatrix on_hard_iron) const override {
     SampleJacobians jacobians;
-    const Vector3 residual = sample_error(pose.rotation().matrix(), Vector6(soft_iron), hard_iron, field_, mounting_,
+    const Vector3 residual = sample_error(pose.rotation().matrix(), elements(soft_iron), hard_iron, field_, mounting_,
                                           measured_, &jacobians);
     if (on_pose) {
       on_pose->setZero(3, 6);
@@ -77,7 +88,7 @@ class KeyframeFieldFactor : public CalibrationFactor {
                               OptionalMatrix on_pose, OptionalMatrix on_soft_iron,
                               OptionalMatrix on_hard_iron) const override {
     BlockJacobians jacobians;
-    const gtsam::Vector residual = block_error(block_, pose.rotation().matrix(), Vector6(soft_iron), hard_iron,
+    const gtsam::Vector residual = block_error(block_, pose.rotation().matrix(), elements(soft_iron), hard_iron,
                                                block_.bias, field_, block_.mounting, &jacobians);
     if (on_pose) {
       on_pose->setZero(residual.size(), 6);
