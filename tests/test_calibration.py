@@ -172,7 +172,7 @@ SAVED = Calibration(SOFT_IRON, HARD_IRON).to_dict()
 GOOD = yaml.safe_dump(SAVED)
 BAD_FILES = {
     "broken YAML": ("cal.yaml", "soft_iron: [1, 2", "not readable as .yaml"),
-    "broken JSON": ("cal.json", "{", "not readable as .json"),
+    "broken JSON": ("cal.json", "{", "not readable as JSON"),
     "binary": ("cal.yaml", b"\xff\xfe\x00\x01", "not a text file; a calibration as YAML or JSON"),
     "a list": ("cal.yaml", "[1, 2]", "not a calibration"),
     "empty": ("cal.yaml", "", "not a calibration"),

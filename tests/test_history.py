@@ -20,6 +20,7 @@ from magyc_gtsam.history.log_factor import LogFactor, compress, factor_of
 from magyc_gtsam.recording.applied import as_calibrated
 from magyc_gtsam.recording.axes import parse_axes
 from magyc_gtsam.recording.turned import with_turned_gyroscope
+from magyc_gtsam.report.summary_page import history_rows, judged_history
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from season import SeasonPlan, dive_factors, draw_season
@@ -166,6 +167,9 @@ def test_a_refit_that_changes_the_soft_iron_is_followed(dives: tuple[LogFactor, 
             continue
         followed += 1
         assert [index for index, _, _ in history.jumps] == list(season.jumps)
+        assert history.refits == list(season.jumps)
+        assert "jumped once, with the soft iron once" in judged_history(history).worth
+        assert history_rows(history)[0][0].endswith(", with the soft iron")
         assert not history.contradictions
         assert history.next.trusted
         following = compress(history.next, "", None)
@@ -398,7 +402,7 @@ def test_damaged_files_are_refused(tmp_path: Path, dives: tuple[LogFactor, ...])
         (text.replace("magyc-gtsam history 4", "another"), "not a history"),
         (text.replace('"covariance":', '"variance":'), "damaged entry of a log"),
         ("a: [", "not readable as .yaml"),
-        ("{", "not readable as .json"),
+        ("{", "not readable as JSON"),
         (text.replace('"walk": 0.3', '"wolk": 0.3'), "a damaged history"),
         (text.replace('"groups": [\n[0, 1', '"groups": [\n[1'), "its groups are not those of its logs"),
         (text.replace('"order": [0, ', '"order": [99, '), "a damaged filter"),

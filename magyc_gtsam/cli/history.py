@@ -185,6 +185,7 @@ def _as_dict(history: History, folder: Path) -> dict[str, Any]:
         "hard_iron": history.hard_iron.tolist(),
         "hard_iron_covariance": history.hard_iron_covariance.tolist(),
         "jumps": [[index, size.tolist(), sigma.tolist()] for index, size, sigma in history.jumps],
+        "refits": history.refits,
         "groups": [list(group) for group in history.groups],
         "contradictions": [[each.index, each.name, each.sentence] for each in history.contradictions],
     }

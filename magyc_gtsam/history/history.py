@@ -159,6 +159,12 @@ class History:
         return sorted(jumps, key=lambda jump: jump[0])
 
     @property
+    def refits(self) -> list[int]:
+        """The indices of the first logs after a change of the soft iron, which are among those of `jumps`."""
+        found = (i.order[k] for i in self._instruments for k in np.flatnonzero(i.label == REFITTED))
+        return sorted(found)
+
+    @property
     def walk(self) -> float:
         """The random walk of the largest group's hard iron, T per √day (per √log without dates)."""
         return self._instruments[0].walk * MICROTESLA

@@ -99,6 +99,8 @@ def judged_history(history: History) -> Verdict:
     if history.doubt is not None:
         return Verdict(False, history.doubt.cause, history.doubt.action, called=history.doubt.called)
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
+    refits = len(history.refits)
+    times += f", with the soft iron {'once' if refits == 1 else f'{refits} times'}" if refits else ""
     calibrated = [factor for factor in history.factors if factor.mean is not None]
     undated = [factor.name for factor in calibrated if factor.time is None]
     span = "from one log to the next" if undated else "per square root of a day"
@@ -119,12 +121,15 @@ def judged_history(history: History) -> Verdict:
 
 
 def history_rows(history: History) -> list[list[str | PageLink]]:
-    """Return one row per jump: the log that follows it, with its date, and the size ± σ along x, y, z."""
+    """Return one row per jump: the log that follows it, with its date, and the size ± σ along x, y, z.
+
+    The name of a log before which the soft iron changed, too, says so.
+    """
 
     def dated_name(index: int) -> str:
         time = history.factors[index].time
         date = "" if time is None else f" ({datetime.fromtimestamp(time, timezone.utc):%Y-%m-%d})"
-        return history.names[index] + date
+        return history.names[index] + date + (", with the soft iron" if index in history.refits else "")
 
     return [
         [dated_name(index), *(f"{s * 1e6:+.2f} ± {d * 1e6:.2f} µT" for s, d in zip(size, sigma, strict=True))]

@@ -70,9 +70,9 @@ def parse_json(text: str) -> Any:
     try:
         return json.loads(text, object_pairs_hook=unique)
     except RecursionError:
-        raise MagycError("not readable as .json (nested without end)") from None
+        raise MagycError("not readable as JSON (nested without end)") from None
     except ValueError as error:
-        raise MagycError(f"not readable as .json ({shortened(error)})") from None
+        raise MagycError(f"not readable as JSON ({shortened(error)})") from None
 
 
 class _Loader(yaml.SafeLoader):
