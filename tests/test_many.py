@@ -190,6 +190,9 @@ def test_history_command(
     assert "third.mcap: its samples are in the history already; name a new log" in capsys.readouterr().err
     assert main([*again, "--end", "200"]) == 2  # a part of it
     assert "third.mcap: its samples are in the history already; name a new log" in capsys.readouterr().err
+    (tmp_path / "empty.csv").write_text("t,mx,my,mz,wx,wy,wz\n", encoding="utf-8")
+    assert main(["history", str(tmp_path / "empty.csv"), *command[2:], "-q"]) == 1
+    assert "note: empty.csv is not used: holds a header but no data" in capsys.readouterr().err
     alone = tmp_path / "alone"
     assert main(["history", str(DIVE), "-o", str(alone)]) in (0, 1)
     write_mcap(tmp_path / DIVE.name, mg.simulate("wide", 120, 10, seed=5).recording)

@@ -56,7 +56,7 @@ def run(
     Its soft iron is constant between refits, its hard iron drifts and jumps. Writes history.yaml (a summary of each
     log, for --add), report.html, and next.yaml with parameters to paste for the next log. Exit code 1: done, but the
     logs are of several instruments, the last one contradicts those before it or is dated in the future: no parameters,
-    and next.yaml is marked as untrusted.
+    and next.yaml is marked as untrusted; or no log of --add can be used.
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
@@ -93,6 +93,9 @@ def run(
         following.save(part / "next.yaml")
         write_exports(part, following)
         write_text(part / "report.html", history_page(history))
+    unused = [factor for factor in factors if factor.mean is None]
+    if quiet or json:  # the table has them
+        notes += [f"{factor.name} is not used: {factor.problem}" for factor in unused]
     for note in [*notes, *far_apart(history.factors)]:
         complain(f"note: {note}")
     if not verdict.trusted:
@@ -107,7 +110,8 @@ def run(
             show(f"next log: {following.message}")
             show_calibration(following)
         show_results(folder)
-    return concluded(verdict, shown=not (quiet or json))
+    added_none = before is not None and len(unused) == len(factors)
+    return max(concluded(verdict, shown=not (quiet or json)), int(added_none))
 
 
 def _new(factors: Sequence[LogFactor], before: History) -> tuple[list[LogFactor], list[str]]:
