@@ -11,6 +11,7 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
+from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import Array
@@ -26,6 +27,7 @@ _PASSES = 20  # fixed-point iterations for gyroscope terms that read the true ra
 _CLOSE = 1e-7  # rad/s, change at which the iteration has converged
 _RUNAWAY = 10.0  # times the first change, beyond which the iteration diverges
 _INSTANTS = 3  # of a window; of a hysteresis in BROAD 01 and 32 five leave 1 and 3 % less
+_TRACK = 100_000  # times of the integrated rate, of longer logs at most twice as many
 _KEPT = 4  # cached integrations of one problem, for a search that alternates between models
 # rad by which a change of bias and delay may turn the field within a window, up to which the first-order derivatives
 # of an integration replace a new one: the error is half its square, where the noise of a window is milliradians
@@ -176,6 +178,13 @@ class Problem:
     def rate_at_rest(self) -> Array | None:
         """The gyroscope's mean (3,), rad/s, over the rests; None without one."""
         return rate_at_rest(self.recording)
+
+    @cached_property
+    def angle(self) -> tuple[Array, Array]:
+        """Times (m,) of some samples, s, and the integral (m, 3) of the gyroscope's rate until then, rad."""
+        time, rate = self.samples.gyroscope_time, self.samples.angular_rate
+        some = slice(None, None, max(len(time) // _TRACK, 1))
+        return time[some], summed_rate(time, rate)[some]
 
     @cached_property
     def fastest(self) -> float:
