@@ -15,10 +15,10 @@ from magyc_gtsam.gap.rules import RULES
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
 _SPACING = 2.0  # of the centres, in widths; the derivative of the bump covers times between them
 _CENTRES = 170  # largest number of centres for each width
-_PLACES = (
-    100  # times at which the field of the place may change, and each of some windows at both ends: a log begins
-)
-_AT_ENDS = 20  # and ends where the vehicle is picked up and put down
+# Times at which the field of the place may change, and each of some windows at both ends: a log begins and ends where
+# the vehicle is picked up and put down.
+_PLACES = 100
+_AT_ENDS = 20
 # times at which it may be the first one again; if the direction of the field changes more than its strength, a stay
 # whose end is a few seconds off explains no more than one without an end
 _ENDS = 300
