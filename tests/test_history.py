@@ -168,7 +168,7 @@ def test_a_refit_that_changes_the_soft_iron_is_followed(dives: tuple[LogFactor, 
         followed += 1
         assert [index for index, _, _ in history.jumps] == list(season.jumps)
         assert history.refits == list(season.jumps)
-        assert "jumped once, with the soft iron once" in judged_history(history).worth
+        assert "jumped once, and the soft iron with it" in judged_history(history).worth
         assert history_rows(history)[0][0].endswith(", with the soft iron")
         assert not history.contradictions
         assert history.next.trusted

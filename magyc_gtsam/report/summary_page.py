@@ -100,7 +100,8 @@ def judged_history(history: History) -> Verdict:
         return Verdict(False, history.doubt.cause, history.doubt.action, called=history.doubt.called)
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
     refits = len(history.refits)
-    times += f", with the soft iron {'once' if refits == 1 else f'{refits} times'}" if refits else ""
+    if refits:
+        times += ", and the soft iron with it" if jumps == 1 else f", {refits} of them with the soft iron"
     calibrated = [factor for factor in history.factors if factor.mean is not None]
     undated = [factor.name for factor in calibrated if factor.time is None]
     span = "from one log to the next" if undated else "per square root of a day"
