@@ -13,9 +13,8 @@ from magyc_gtsam.factors.variables import Array, attitude, choose
 
 _SEEN = 0.02  # share of the prior's variance that the other factors must take away before they can contradict it
 _UNLIKELY = 1e-9  # probability of the prior's innovation below which they do
-_TURNED = np.radians(
-    15.0
-)  # from where iSAM2 linearised; of a graph that turns further its covariance says nothing
+# From where iSAM2 linearised; of a graph that turns further its covariance says nothing.
+_TURNED = np.radians(15.0)
 
 
 @dataclass(frozen=True, eq=False)

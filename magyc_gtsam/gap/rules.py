@@ -102,17 +102,17 @@ class Rules:
     # share of the delays' squares that their differences have, below which they are one delay: axes that are read one
     # after the other have 0.4; the two columns more of unequal delays took the place of BROAD 04's one delay
     unequal: float = 0.1
-    # rad, root mean square rotation during a stay, above which a field of the place is not one of the vehicle: at rest
-    # before its magnet is attached BROAD 32 has 0.1, by a wrong bias; stays on the motion "tiny" have 0.8
+    # rad, root mean square rotation during a stay, at most 1, above which a field of the place is not one of the
+    # vehicle: at rest before its magnet is attached BROAD 32 has 0.0001, stays on the motion "tiny" have 1
     stay_turns: float = 0.3
     # change of the field's strength by another place, relative to that of the field, below which a turn is missing:
-    # BROAD 01 and 06 have 0.8 on their table, spikes of the gyroscope 0.1 and less; one of ten real places is below
+    # BROAD 01 and 06 have 0.7 to 0.9 on their table, what follows spikes of the gyroscope has 0.01 to 0.12; of fields
+    # in a random direction one of ten is below
     stay_stronger: float = 0.1
     # s, between changes that are one event, and before and after a change of the place, when the vehicle moves
     at_once: float = 1.0
     # rad, rotation as above within that time around a change of the place, from which the vehicle moved there: BROAD 01
-    # and 06 have 0.05 to 0.7 where they are picked up and put down, BROAD 32 has 0.01 where its magnet is attached, and
-    # a wrong bias makes 0.02 of a rest
+    # and 06 have 0.05 to 0.6 where they are picked up and put down, BROAD 32 has 0.003 where its magnet is attached
     stay_moves: float = 0.04
     # of the last jump, below which the iron after it is the one before the first jump: what was attached was taken off
     taken_off: float = 0.5

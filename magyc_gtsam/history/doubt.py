@@ -79,9 +79,9 @@ def doubt_of(
     _, sigma = scale_of([factors[i] for k, i in enumerate(main.order) if main.label[k] != WRONG])
     if sigma > _OTHER_PLACES:
         return HistoryDoubt(
-            f"the strengths of the field in the logs differ by {sigma:.0%} (1σ) from that of the given place",
+            f"the scales of the soft irons differ by {sigma:.0%} (1σ), so that the given field is not that of all logs",
             "give the logs of each place alone, with its field, or all without a field",
-            "The logs are not of the given place",
+            "The logs are not of one place",
         )
     return None
 

@@ -79,19 +79,18 @@ def undo(
     """
     starts, sets = parameters.epochs(f"CAL_{kind}", "SENS_BOARD_")
     epoch = np.searchsorted(starts, stamp, side="right") - 1
-    value, notes, applied = np.empty_like(logged), list[str](), list[str]()
+    value, notes, applied = np.empty_like(logged), list[str](), list[tuple[str, bytes]]()
     for number in np.unique(epoch):
         rows, current = epoch == number, sets[number]
         index, remarks = _index(kind, current, device, corrected)
-        turned_back = logged[rows] @ _rotation(f"CAL_{kind}{index}_", current) if rotated else logged[rows]
-        value[rows] = turned_back  # rows: x @ R is Rᵀx
+        turn = _rotation(f"CAL_{kind}{index}_", current) if rotated else np.eye(3)
+        value[rows], undone = logged[rows] @ turn, ""  # rows: x @ R is Rᵀx
         if corrected and index is not None:
-            value[rows], undone = _uncorrected(kind, index, turned_back, current)
-            applied.append(undone)
+            value[rows], undone = _uncorrected(kind, index, value[rows], current)
+        applied.append((undone, turn.tobytes()))
         notes += [remark for remark in remarks if remark not in notes]
-    different = list(dict.fromkeys(applied))
-    notes += different[:1]
-    if len(different) > 1 or (applied and len(applied) < len(np.unique(epoch))):
+    notes += [undone for undone, _ in applied if undone][:1]
+    if len(set(applied)) > 1:
         notes.append(f"CAL_{kind}n_* changed within the log; each sample was corrected by the values at its time")
     last = sets[-1]
     index, _ = _index(kind, last, device, corrected)

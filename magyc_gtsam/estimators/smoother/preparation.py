@@ -85,8 +85,9 @@ class Streams(Protocol):
 
 
 def short_term_noise(recording: Streams) -> SensorNoise:
-    """Estimate the noise per sample and axis from second differences, which smooth motion hardly affects; from third
-    ones where these are smaller.
+    """Estimate the noise per sample and axis from second differences, which smooth motion hardly affects.
+
+    Where third ones are smaller and fourth ones as large as those, the second contain the motion, and the third count.
     """
     return SensorNoise(magnetometer_noise(recording), _noise(recording.gyroscope, _LEAST_RATE_NOISE))
 

@@ -11,7 +11,7 @@ from magyc_gtsam.gap.effects.iron import drifts, lagged, lagged_nearby, step_nea
 from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, at_time, behind, deviation_of_modes, vector
 from magyc_gtsam.gap.model.twin import Twin
 
-# rad/s, prior deviation of a change of the bias: chips move by 0.03 to 0.16 °/s per kelvin, by up to 3 °/s over 20 K.
+# rad/s, prior deviation of a change of the bias: that of data sheets' 0.03 to 0.16 °/s per kelvin over 20 K, 3 °/s.
 # Without a limit a jump in the second in which BROAD 01 is picked up from a table was one of 0.6 rad/s.
 _CHANGE = 0.05
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
@@ -71,7 +71,7 @@ SCALE = EffectTerm(
     unit="‰",
     matters=4e-3,
     prior=0.02,
-    ordinary=0.01,  # 0.1 to 0.5 % in the units of BROAD
+    ordinary=0.01,  # 0.2 to 0.4 % in BROAD 01 and 06
     rivals=("misalignment", "gyro-quadratic"),
     parameters=RATE_MATRIX,
     say=_say_scale,

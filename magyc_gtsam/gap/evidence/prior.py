@@ -33,8 +33,8 @@ class Prior:
             It resembles a first one with even odds: in 6 of 14 foreign recordings of edition 207 with a certain unknown
             effect one effect of the catalogue is significant beside it.
         rarely: log odds that such a cause resembles an effect that every instrument has in such a size
-            (`EffectTerm.ordinary`). With it five right names of BROAD 01 have 0.87 to 0.95, without it 0.51 to 0.65; of
-            a misalignment of 2°, as a product of axes resembles, it says nothing.
+            (`EffectTerm.ordinary`). Chosen on BROAD 01, five names of which have 0.87 to 0.95 with it and 0.51 to 0.65
+            without; judged on the put-in effects of edition 376.
         all_named: log odds that nothing of such a cause is detected as unknown beside the effects that it resembles. A
             magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. It was chosen
             with `each_more` on the foreign recordings of edition 311 and the real ones of edition 312.
