@@ -135,6 +135,44 @@ def test_the_command_takes_many_logs(
     assert kept.delay == pytest.approx(0.02, abs=0.02)
 
 
+def _of_another(seed: int) -> mg.Recording:
+    """A log of another instrument that is late by 20 ms as well."""
+    sensor = {"soft_iron": np.diag([0.95, 1.1, 1.0]), "hard_iron": np.array([-8e-6, 3e-6, 14e-6])}
+    one = mg.simulate("wide", 150, 10, seed=seed, delay=0.02, gyro_bias=np.array([-0.01, 0.006, -0.004]), **sensor)
+    return replace(one.recording, attitude=None, name=f"other {seed}")
+
+
+def test_logs_of_two_instruments_have_no_effect_of_the_instrument(
+    late: list[mg.Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = [late[0], _of_another(5), late[1], _of_another(6)]
+    gap = mg.find_gap(logs, candidates=["timing", "cubic"])
+    assert (gap.effects, gap.calibrations) == ((), {})
+    assert (
+        "2 instruments (dive 0, dive 1; other 5, other 6): give the logs of one instrument alone" in gap.sentence
+    )
+    for recording in logs[:2]:
+        write_mcap(tmp_path / f"{recording.name}.mcap", recording)
+    assert cli.main(["gap", str(tmp_path), "-o", str(tmp_path / "out"), "--candidates", "timing"]) == 1
+    told = capsys.readouterr()
+    assert "the logs are of 2 instruments (dive 0; other 5)" in told.err
+    assert "Other hypotheses" not in told.out
+
+
+def test_a_single_log_of_another_instrument_is_left_out(late: list[mg.Recording]) -> None:
+    gap = mg.find_gap([*late, _of_another(5)], candidates=["timing", "cubic"])
+    assert [(own.log, "another instrument" in own.sentence) for own in gap.own] == [("other 5", True)]
+    assert [log.log for log in gap.effects[0].logs] == ["dive 0", "dive 1", "dive 2"]
+    assert gap.verdict == "closed"
+
+
+def test_logs_of_one_instrument_with_a_scale_of_the_gyroscope_are_of_one() -> None:
+    logs = [mg.simulate("wide", 150, seed=s, effects=["gyro-scale"], effects_seed=3).recording for s in (1, 2)]
+    gap = mg.find_gap(logs, candidates=["gyro-scale"])
+    assert [(effect.name, effect.of) for effect in gap.effects] == [("gyro-scale", "instrument")]
+    assert gap.verdict == "closed"
+
+
 def test_what_is_not_among_the_candidates_is_told_in_words() -> None:
     logs = []
     for seed in (1, 2):

@@ -93,7 +93,8 @@ def run(
     instrument are compared with each other: an effect with the same value in all logs belongs to the instrument,
     one with a different value in each log belongs to the place or the day. Exit code 0: nothing was missing, or
     what was missing is now in the model. 1: the gap remains open, the log was not sufficient to look for one, the
-    calibration must not be used, or the result does not hold, or cannot be tested, on OTHER_LOG.
+    logs are of several instruments, the calibration must not be used, or the result does not hold, or cannot be
+    tested, on OTHER_LOG.
     """
     if plan is not None:
         if not _PLANNED.issuperset(given.on_command_line(context)):

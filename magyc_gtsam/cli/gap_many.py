@@ -136,8 +136,9 @@ def _show(gap: GapOfMany, folder: Path, every: bool) -> None:
         show_table(VALUES, _log_rows(gap), words=(1,))
     if gap.own:
         show("", *(f"{own.log}: {own.sentence}" for own in gap.own))
-    show("", "Other hypotheses, against the model with these effects:")
-    show_table(WEIGHTS, weight_rows(gap, _LISTED if every else _SHOWN))
+    if gap.weights:
+        show("", "Other hypotheses, against the model with these effects:")
+        show_table(WEIGHTS, weight_rows(gap, _LISTED if every else _SHOWN))
     show_results(folder)
 
 

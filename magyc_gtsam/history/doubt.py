@@ -44,15 +44,9 @@ def doubt_of(
     """Return why the next log is not predicted: logs of several instruments or places, in the future, or a last log
     that is left out.
     """
-    several = [group for group in groups if len(group) > 1 or len(group) == len(groups[0])]
-    if len(several) > 1:
-        members = "; ".join(listed([factors[i].name for i in group]) for group in several[:_MOST_GROUPS])
-        more = "; and more" if len(several) > _MOST_GROUPS else ""
-        return HistoryDoubt(
-            f"the logs are of {len(several)} instruments ({members}{more})",
-            "give the logs of one instrument alone",
-            "The logs do not belong together",
-        )
+    several = several_instruments([[factors[i].name for i in group] for group in groups])
+    if several is not None:
+        return several
     main = instruments[0]
     used = [k for k, i in enumerate(main.order) if factors[i].mean is not None]
     last = factors[main.order[used[-1]]]
@@ -84,6 +78,25 @@ def doubt_of(
             "The logs are not of one place",
         )
     return None
+
+
+def several_instruments(groups: Sequence[Sequence[str]]) -> HistoryDoubt | None:
+    """Return that logs are of several instruments; None if they are not.
+
+    Args:
+        groups: the names of logs that can be of one instrument, the largest group first; a log that is alone beside a
+            larger group may only be disturbed.
+    """
+    several = [group for group in groups if len(group) > 1 or len(group) == len(groups[0])]
+    if len(several) < 2:
+        return None
+    members = "; ".join(listed(group) for group in several[:_MOST_GROUPS])
+    more = "; and more" if len(several) > _MOST_GROUPS else ""
+    return HistoryDoubt(
+        f"the logs are of {len(several)} instruments ({members}{more})",
+        "give the logs of one instrument alone",
+        "The logs do not belong together",
+    )
 
 
 def _newest(instruments: Sequence[Instrument]) -> int:

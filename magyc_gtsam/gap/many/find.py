@@ -14,6 +14,7 @@ from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested, sudden
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, related
 from magyc_gtsam.gap.many.described import AddedEffect, told
+from magyc_gtsam.gap.many.instruments import ANOTHER, instruments_of, not_of_one, strangers
 from magyc_gtsam.gap.many.looking import look_over
 from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
@@ -60,18 +61,33 @@ def find_gap_of_many(
     Raises:
         MagycError: no recordings, or an object that is not a recording.
     """
-    state = _fitted_logs(recordings, candidates, lambda share: report(0.4 * share))
-    if len(state.logs) >= MODEL.least:
-        for step in range(MODEL.most + 1):
-            state, going = _step(state, step < MODEL.most)
-            report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
-            if not going:
-                break
+    fitted = _fitted_logs(recordings, candidates, lambda share: report(0.4 * share))
+    while True:
+        state = _searched(fitted, lambda share: report(0.4 + 0.6 * share))
+        calibrations = {log.name: _calibration(log, not state.unknown) for log in state.logs}
+        groups = instruments_of(calibrations)
+        others = strangers(groups)
+        if not others:
+            break
+        own = (*fitted.own, *(LogLeftOut(name, ANOTHER) for name in others))
+        fitted = replace(fitted, logs=tuple(log for log in fitted.logs if log.name not in others), own=own)
+    report(1.0)
+    apart = not_of_one(groups)
+    if apart:  # no value is one of all logs then
+        return GapOfMany("not enough information", apart, (), state.own, (), {})
     # Beside an unknown effect, autocorrelation and outliers are part of its misfit, not noise.
     looked = len(state.logs) >= MODEL.least and not state.unknown
-    noise = noise_effects(state.logs, candidates) if looked else ()
-    report(1.0)
-    return _result(state, noise)
+    return _result(state, calibrations, noise_effects(state.logs, candidates) if looked else ())
+
+
+def _searched(state: _State, report: Progress) -> _State:
+    """Add effects to the model of the logs until nothing is missing, or nothing that has a name."""
+    for step in range(MODEL.most + 1 if len(state.logs) >= MODEL.least else 0):
+        state, going = _step(state, step < MODEL.most)
+        report((step + 1) / (MODEL.most + 1))
+        if not going:
+            break
+    return state
 
 
 def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: Progress) -> _State:
@@ -237,8 +253,7 @@ def _with_variation(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, .
     return replace(state, logs=logs, added=(*state.added, one))
 
 
-def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
-    calibrations = {log.name: _calibration(log, not state.unknown) for log in state.logs}
+def _result(state: _State, calibrations: dict[str, Calibration], noise: Sequence[SharedEffect]) -> GapOfMany:
     effects = (*told(state.added, state.logs, calibrations), *noise)
     where = _missing(state.unknown, state.logs, state.names) if state.unknown else ""
     if where:

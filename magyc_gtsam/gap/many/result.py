@@ -87,7 +87,8 @@ class GapOfMany:
 
     Attributes:
         verdict: "none" (nothing is missing), "closed" (named, and nothing significant remains), "unknown" (an effect
-            outside the catalogue is missing), "not enough information" (fewer than two logs can be used).
+            outside the catalogue is missing), "not enough information" (fewer than two logs can be used, or they are of
+            several instruments; without effects and calibrations then).
         sentence: the verdict, for a navigator.
         effects: in the order in which they were added.
         own: logs that were left out, and the reasons.
