@@ -25,6 +25,32 @@ static double second_differences(size stride, Arrays *a)
 }
 TO_PYTHON(second_differences, 2, 1)
 
+/* value (n, 3); third, fourth: the squared norms of every stride-th difference of those orders */
+static double higher_differences(size stride, Arrays *a)
+{
+    double *third = a->at[1], *fourth = a->at[2];
+    for (size t = 0; t < entries(a, 1); t++) {
+        const double *x = a->at[0] + 3 * stride * t;
+        double square = 0.0;
+        for (int i = 0; i < 3; i++) {
+            double difference = (x[9 + i] - x[i]) - 3 * (x[6 + i] - x[3 + i]);
+            square += difference * difference;
+        }
+        third[t] = square;
+    }
+    for (size t = 0; t < entries(a, 2); t++) {
+        const double *x = a->at[0] + 3 * stride * t;
+        double square = 0.0;
+        for (int i = 0; i < 3; i++) {
+            double difference = (x[12 + i] + x[i]) - 4 * (x[9 + i] + x[3 + i]) + 6 * x[6 + i];
+            square += difference * difference;
+        }
+        fourth[t] = square;
+    }
+    return 0.0;
+}
+TO_PYTHON(higher_differences, 3, 2)
+
 #define AXES 12 /* entries in lanes: three axes of four samples */
 
 /* Of the axes (3,) of m entries, three of each sample: the sums. */

@@ -109,9 +109,8 @@ def _noise(samples: Samples, least: float) -> float:
     found = _at(square, upper)
     # Otherwise a driver interpolates, which higher differences show more.
     if real == len(square) and len(value) > _ORDERS[-1]:
-        third, fourth = (
-            _at(_differences(value, stride, order) / (3 * comb(2 * order, order)), upper) for order in _ORDERS
-        )
+        squares = zip(_higher_differences(value, stride), _ORDERS, strict=True)
+        third, fourth = (_at(each / (3 * comb(2 * order, order)), upper) for each, order in squares)
         # White noise is the same in both; of filtered noise ever less remains.
         found = third if third < _MOVING * found and fourth > _MOVING * third else found
     return max(found, least)
@@ -123,14 +122,6 @@ def _at(square: Array, place: int) -> float:
     return float(np.sqrt(np.partition(square, place)[place])) / 1.170
 
 
-def _differences(value: Array, stride: int, order: int) -> Array:
-    """Return the squares of every stride-th difference of an order of (n, 3)."""
-    parts = [value[k : len(value) - order + k : stride] for k in range(order + 1)]
-    while len(parts) > 1:
-        parts = [after - before for before, after in pairwise(parts)]
-    return np.asarray(np.einsum("ni,ni->n", parts[0], parts[0]))
-
-
 def _second_differences(value: Array, stride: int) -> tuple[Array, float]:
     """Return the squares of every stride-th second difference of (n, 3), and the mean square in their middles."""
     if compiled.loops:
@@ -139,3 +130,18 @@ def _second_differences(value: Array, stride: int) -> tuple[Array, float]:
     first, middle, last = (np.ascontiguousarray(value[k : len(value) - 2 + k : stride].T) for k in range(3))
     second = first - 2 * middle + last
     return np.einsum("in,in->n", second, second), float(np.square(middle).mean())
+
+
+def _higher_differences(value: Array, stride: int) -> list[Array]:
+    """Return the squares of every stride-th third and every stride-th fourth difference of (n, 3)."""
+    if compiled.loops:
+        squares = [np.empty(-(-(len(value) - order) // stride)) for order in _ORDERS]
+        compiled.loops.higher_differences(stride, compiled.given(value), *squares)
+        return squares
+    result = []
+    for order in _ORDERS:
+        parts = [value[k : len(value) - order + k : stride] for k in range(order + 1)]
+        while len(parts) > 1:
+            parts = [after - before for before, after in pairwise(parts)]
+        result.append(np.asarray(np.einsum("ni,ni->n", parts[0], parts[0])))
+    return result

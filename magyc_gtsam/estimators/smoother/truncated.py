@@ -74,10 +74,11 @@ def without_truncation(
         sensors: whose readings to look at.
     """
     found = []
-    noise = short_term_noise(recording)
     for sensor in sensors:
         reading: Array = getattr(recording, _READINGS[sensor])
-        step = steps_from_zero(reading, getattr(noise, sensor))
+        if reading.all():  # nearly always
+            continue
+        step = steps_from_zero(reading, getattr(short_term_noise(recording), sensor))
         if not step.any():
             continue
         changed: dict[str, Any] = {_READINGS[sensor]: middles(reading, step)}
@@ -103,8 +104,6 @@ def steps_from_zero(reading: Array, noise: float) -> Array:
         noise: standard deviation of a sample, in the same unit.
     """
     step, zeros, expected = np.zeros(3), 0, 0.0
-    if reading.all():  # nearly always
-        return step
     for axis, values in enumerate(reading.T):
         own = _step(values)
         if own > _FINEST * noise:
