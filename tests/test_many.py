@@ -160,6 +160,25 @@ def test_what_does_nothing_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_history_of_no_usable_log_says_why_of_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None
+) -> None:
+    for seed in range(4):
+        write_mcap(tmp_path / f"level{seed}.mcap", mg.simulate((1, 1, 5), 60, 10, seed=seed).recording)
+    (tmp_path / "broken.csv").write_text("time,nothing\n", encoding="utf-8")
+    output = tmp_path / "out"
+    assert main(["history", *map(str, sorted(tmp_path.glob("*.*"))), "-o", str(output)]) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert "none of 5 logs has a trusted calibration" in told[0]
+    assert "broken.csv: " in told[1]
+    assert [f"level{seed}.mcap: too little motion" in told[2 + seed] for seed in range(4)] == [True] * 4
+    assert not output.exists()
+    assert main(["history", str(tmp_path / "broken.csv"), "-o", str(output), "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["contradictions"][0][1] == "broken.csv"
+    with pytest.raises(mg.MagycError, match="5°-3: too little"):  # not only of the first few
+        mg.calibrate_many(mg.read_many(sorted(tmp_path.glob("*.mcap"))))
+
+
 def test_history_command(
     season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,7 +27,7 @@ from magyc_gtsam.cli.terminal import (
     show_table,
     stages,
 )
-from magyc_gtsam.foreign_text import with_minus
+from magyc_gtsam.foreign_text import counted, with_minus
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -56,7 +56,47 @@ def run(
     Its soft iron is constant between refits, its hard iron drifts and jumps. Writes history.yaml (a summary of each
     log, for --add), report.html, and next.yaml with parameters to paste for the next log. Exit code 1: done, but the
     logs are of several instruments, the last one contradicts those before it or is dated in the future: no parameters,
-    and next.yaml is marked as untrusted; or no log of --add can be used.
+    and next.yaml is marked as untrusted; or no log, or none of --add, can be used. 2: no log can be read.
+    """
+    try:
+        return _followed(reading, scale, more, gyroscope_scale, add, output, engine, quiet, json)
+    except _NoneUsableError as none:
+        return _none_usable(none.factors, json)
+
+
+class _NoneUsableError(Exception):
+    """No log of a new history has a trusted calibration."""
+
+    def __init__(self, factors: Sequence[LogFactor]) -> None:
+        super().__init__()
+        self.factors = factors
+
+
+def _none_usable(factors: Sequence[LogFactor], json: bool) -> int:
+    """Say why each log cannot be used, and return the exit code: 2 if none of them can be read."""
+    if json:
+        show_json({"contradictions": [[i, factor.name, factor.problem] for i, factor in enumerate(factors)]})
+    complain(f"no history: none of {counted(len(factors), 'log')} has a trusted calibration, and one is needed")
+    for factor in factors:
+        complain(f"{factor.name}: {factor.problem}")
+    return 1 if any(factor.samples for factor in factors) else 2
+
+
+def _followed(
+    reading: Reading,
+    scale: Scale,
+    more: list[Path] | None,
+    gyroscope_scale: float | None,
+    add: Path | None,
+    output: Path | None,
+    engine: str,
+    quiet: bool,
+    json: bool,
+) -> int:
+    """Write and show the history of the logs; see `run`.
+
+    Raises:
+        _NoneUsableError: a new history without a usable log.
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
@@ -83,6 +123,8 @@ def run(
             else replace(LogFactor.from_dict(row), name=name)
             for name, row in rows.items()
         ]
+        if before is None and all(factor.mean is None for factor in factors):
+            raise _NoneUsableError(factors)
         if before is not None:
             factors, notes = _new(factors, before)
             names = _named_apart([factor.name for factor in factors], before)

@@ -13,7 +13,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.foreign_text import counted
+from magyc_gtsam.foreign_text import counted, first_of
 from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
 from magyc_gtsam.history.counted_once import CountedLogs, of_one_kind
 from magyc_gtsam.history.doubt import HistoryDoubt, doubt_of
@@ -69,9 +69,9 @@ class History:
         self._grouping = Grouping(self.factors, self.model, groups)
         self._banks = tuple(banks)
         if not self.groups:
-            listed = "; ".join(f"{factor.name}: {factor.problem}" for factor in factors[:3])
+            each = "; ".join(first_of([f"{factor.name}: {factor.problem}" for factor in self.factors], "logs"))
             logs = counted(len(factors), "log")
-            raise MagycError(f"history: no trusted calibration in {logs}, and one is needed ({listed})")
+            raise MagycError(f"history: no trusted calibration in {logs}, and one is needed ({each})")
 
     def __len__(self) -> int:
         return len(self.factors)
