@@ -109,8 +109,10 @@ class ColumnFamily:
             return None
         return 4 * float(motion.time[-1] - motion.time[0]) / sum(self.waves)
 
-    def sentence(self, size: float, period: float | None) -> str:
-        """Return a sentence on what it acts on and its size."""
+    def sentence(self, size: float | None, period: float | None) -> str:
+        """Return a sentence on what it acts on and its size; None if the data do not give it."""
+        if size is None:
+            return self.place.replace("±", "").format("an unknown amount")
         scale, unit = _SHOWN.get(self.unit, (1e3, "ms"))
         return self.place.format(f"{scale * size:.2g} {unit}")
 

@@ -127,9 +127,9 @@ def with_scale(recording: Recording, fit: Fit, options: SmootherOptions) -> Scal
 
 
 def _doubt(value: Array, deviation: float) -> str:
-    worst = int(np.argmax(np.abs(value)))
+    worst = int(np.argmax(np.abs(value)))  # its value is not that of the minimum, which is farther away
     return (
-        f"the gyroscope's scale would be off by {100 * value[worst]:+.1f} % along {'xyz'[worst]}, where "
+        f"the gyroscope's scale would be off by more than {100 * _MOST * deviation:g} % along {'xyz'[worst]}, where "
         f"{100 * deviation:g} % (1σ) is expected: check its unit, or expect more (gyroscope_scale)"
     )
 
