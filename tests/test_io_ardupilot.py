@@ -151,8 +151,8 @@ def test_rov(shared_data: Path) -> None:
     assert imu.rate == pytest.approx(25, abs=0.1)
 
 
-def dataflash(path: Path, messages: list[tuple[str, tuple]]) -> Path:
-    """A log of the named messages, in dataflash's own format."""
+def dataflash(path: Path, messages: list[tuple[str, tuple]], more: dict[str, tuple[int, str, str]] = {}) -> Path:  # noqa: B006
+    """A log of the named messages, in dataflash's own format; `more` are types as (number, letters, columns)."""
     formats = {
         "FMT": (128, "BBnNZ", "<BB4s16s64s", "Type,Length,Name,Format,Columns"),
         "PARM": (64, "QNf", "<Q16sf", "TimeUS,Name,Value"),
@@ -163,6 +163,7 @@ def dataflash(path: Path, messages: list[tuple[str, tuple]]) -> Path:
             "TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOX,MOY,MOZ,Health,S",
         ),
         "IMU": (66, "QBffffff", "<QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+        **{name: (number, code, f"<{code}", columns) for name, (number, code, columns) in more.items()},
     }
     data = b""
 

@@ -185,18 +185,23 @@ def test_mountings_agree_with_mavlink() -> None:
 
 
 SENSOR = {"timestamp": "Q", "device_id": "I", "x": "f", "y": "f", "z": "f"}
-TYPES = {"Q": "uint64_t", "I": "uint32_t", "f": "float"}
+TYPES = {"Q": "uint64_t", "I": "uint32_t", "f": "float", "3f": "float[3]", "4f": "float[4]"}
 
 
-def ulog(path: Path, parameters: dict[str, float], messages: list[tuple[str, int, list[tuple[Any, ...]]]]) -> Path:
-    """A log of (message, instance, rows of `SENSOR`), in PX4's own format."""
+def ulog(
+    path: Path,
+    parameters: dict[str, float],
+    messages: list[tuple[str, int, list[tuple[Any, ...]]]],
+    more: dict[str, dict[str, str]] = {},  # noqa: B006
+) -> Path:
+    """A log of (message, instance, rows of `SENSOR`, or of the fields that `more` has), in PX4's own format."""
 
     def packed(kind: str, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), ord(kind)) + body
 
-    fields = "".join(f"{TYPES[code]} {name};" for name, code in SENSOR.items())
     data = b"ULog\x01\x12\x35\x01" + bytes(8) + packed("B", bytes(40))
     for name in dict.fromkeys(name for name, _, _ in messages):
+        fields = "".join(f"{TYPES[code]} {field};" for field, code in more.get(name, SENSOR).items())
         data += packed("F", f"{name}:{fields}".encode())
     for name, value in parameters.items():
         key = f"{'int32_t' if isinstance(value, int) else 'float'} {name}".encode()
@@ -205,7 +210,8 @@ def ulog(path: Path, parameters: dict[str, float], messages: list[tuple[str, int
     for number, (name, instance, values) in enumerate(messages):
         data += packed("A", struct.pack("<BH", instance, number) + name.encode())
         rows += [
-            (row[0], packed("D", struct.pack("<H" + "".join(SENSOR.values()), number, *row))) for row in values
+            (row[0], packed("D", struct.pack("<H" + "".join(more.get(name, SENSOR).values()), number, *row)))
+            for row in values
         ]
     path.write_bytes(data + b"".join(row for _, row in sorted(rows)))
     return path

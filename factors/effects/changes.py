@@ -5,7 +5,7 @@ Each returns the columns (k, 3, n) per unit of the effect's values from the sign
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -29,7 +29,7 @@ def per_axis(profile: Array) -> Array:
     return result.reshape(3 * p, 3, n)
 
 
-def referenced(channel: Array, setting: Setting) -> list[int]:
+def referenced(channel: Sized, setting: Setting) -> list[int]:
     """Return the rows of a channel (k, n) that have a reference (`reference_0`, … in the setting); all, if none has."""
     known = [int(name.removeprefix("reference_")) for name in setting if name.startswith("reference_")]
     return sorted(known) or list(range(len(channel)))

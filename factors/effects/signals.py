@@ -79,7 +79,7 @@ class Signals:
 
 CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "current": ("current", "curr", "amp", "amps", "motor", "throttle"),
+        "current": ("current", "curr", "amp", "amps", "motor"),
         "temperature": ("temperature", "temp"),
         "position": ("position", "depth", "altitude", "height"),
     }
@@ -87,38 +87,70 @@ CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Words in a channel's name by which it counts as one of a kind; long words may be part of a word, short ones
 may not.
 """
+INSTEAD: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "current": ("throttle", "thrust", "CTUN.ThO", "actuator_controls_0.control[3]"),
+        "temperature": ("IMU.T",),
+    }
+)
+"""Words, and whole names of autopilots, of what stands for a kind where no channel of that kind changes."""
+_NO_UNIT = "motor"  # says nothing of what is logged: a motor's throttle is a throttle
 _LONG = 5  # letters from which a word is long
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+_INSTANCE = re.compile(r"\[\d+\](?=\.)")  # in "IMU[1].T"
 
 
 def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
-    """Return {kind: (k, n)} from {name: (n,) or (n, k)}, with the names in alphabetical order."""
-    result = {}
-    for kind in CHANNELS:
-        found = [channels[name] for name in sorted(channels) if kind in kinds(name)]
-        if found:
-            result[kind] = np.concatenate([np.atleast_2d(np.asarray(value, dtype=float).T) for value in found])
-    return result
+    """Return {kind: (k, n)} from {name: (n,) or (n, k)}, with the names in alphabetical order.
+
+    A throttle counts as a current, and the thermometer of an inertial sensor as a temperature, only where no other
+    channel of that kind changes.
+    """
+    return {kind: np.stack(list(rows.values())) for kind, rows in _rows(channels).items()}
 
 
 def rows_by_kind(channels: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
     """Return {kind: (k,)}, the names of the rows of `channels_by_kind`."""
+    return {kind: tuple(rows) for kind, rows in _rows(channels).items()}
+
+
+def _rows(channels: Mapping[str, Array]) -> dict[str, dict[str, Array]]:
     result = {}
     for kind in CHANNELS:
-        found = [name for name in sorted(channels) if kind in kinds(name)]
-        if found:
-            columns = [len(np.atleast_2d(np.asarray(channels[name]).T)) for name in found]
-            result[kind] = tuple(
-                name if count == 1 else f"{name} {column + 1}"
-                for name, count in zip(found, columns, strict=True)
-                for column in range(count)
-            )
+        called: dict[bool, dict[str, Array]] = {False: {}, True: {}}
+        for name in sorted(channels):
+            if kind in kinds(name):
+                called[stands_in(name, kind)] |= rows_of(name, channels[name])
+        own, instead = called[False], called[True]
+        chosen = instead if not own or (_change(instead) and not _change(own)) else own
+        if chosen:
+            result[kind] = chosen
     return result
 
 
+def rows_of(name: str, value: Array) -> dict[str, Array]:
+    """Return {name: (n,)} of a channel (n,), or {"name 1": (n,), …} of one with several columns (n, k)."""
+    columns = np.atleast_2d(np.asarray(value, dtype=float).T)
+    if len(columns) == 1:
+        return {name: columns[0]}
+    return {f"{name} {number}": column for number, column in enumerate(columns, start=1)}
+
+
+def _change(rows: Mapping[str, Array]) -> bool:
+    known = (row[np.isfinite(row)] for row in rows.values())
+    return any(len(row) > 0 and np.ptp(row) > 0 for row in known)
+
+
 def kinds(name: str) -> tuple[str, ...]:
-    """Return the kinds that a channel of this name counts as."""
-    return tuple(kind for kind, words in CHANNELS.items() if _is_called(name, words))
+    """Return the kinds that a channel of this name counts as, or can stand for."""
+    return tuple(kind for kind in CHANNELS if _is_called(name, CHANNELS[kind]) or stands_in(name, kind))
+
+
+def stands_in(name: str, kind: str) -> bool:
+    """Return whether a channel of this name is none of a kind, but can stand for one."""
+    words = [word for word in CHANNELS[kind] if word != _NO_UNIT]
+    instead = INSTEAD.get(kind, ())
+    return (_INSTANCE.sub("", name) in instead or _is_called(name, instead)) and not _is_called(name, words)
 
 
 def _is_called(name: str, words: Sequence[str]) -> bool:

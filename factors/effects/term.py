@@ -12,7 +12,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import EARLIER, FORMS
-from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.factors.effects.signals import CHANNELS, Signals
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import numbers
 
@@ -26,12 +26,15 @@ class Term:
         value: (k,) in SI units (T, rad/s, s, … per unit of the channel).
         covariance: (k, k) of the value.
         setting: parameters that were searched over, and references of channels.
+        channels: names of the rows of the channel that it follows, in the recording in which it was found, which
+            references count; empty if they are not known, or it follows none.
     """
 
     name: str
     value: Array
     covariance: Array
     setting: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    channels: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         value = numbers(f"term {self.name!r}: value", self.value)
@@ -51,6 +54,9 @@ class Term:
         object.__setattr__(self, "value", value)
         object.__setattr__(self, "covariance", covariance)
         object.__setattr__(self, "setting", MappingProxyType({k: float(v) for k, v in self.setting.items()}))
+        if isinstance(self.channels, str) or not all(isinstance(name, str) for name in self.channels):
+            raise MagycError(f"term {self.name!r}: channels must be names, got {self.channels!r:.60}")
+        object.__setattr__(self, "channels", tuple(self.channels))
 
     @property
     def side(self) -> str | None:
@@ -61,6 +67,12 @@ class Term:
     def subtracted(self) -> bool:
         """Whether it is subtracted from readings; a timing moves stamps, and a misalignment turns axes."""
         return self.side is not None and self.name not in ("timing", "misalignment")
+
+    @property
+    def kind(self) -> str | None:
+        """The kind of channel that it follows; None without one."""
+        needs = FORMS[self.name].needs if self.subtracted else ()
+        return next((need for need in needs if need in CHANNELS), None)
 
     @property
     def remembers(self) -> bool:
@@ -93,9 +105,12 @@ class Term:
             "value": self.value.tolist(),
             "covariance": self.covariance.tolist(),
             "setting": dict(self.setting),
+            **({"channels": list(self.channels)} if self.channels else {}),
         }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Term:
         """Return the term of a dictionary; the inverse of `to_dict`."""
-        return cls(data["name"], data["value"], data["covariance"], data.get("setting") or {})
+        return cls(
+            data["name"], data["value"], data["covariance"], data.get("setting") or {}, data.get("channels") or ()
+        )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.calibration.followed import followed
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, vech
 from magyc_gtsam.factors.effects.changes import referenced
 from magyc_gtsam.factors.effects.dated import DATED, afterwards, lasts
@@ -99,7 +100,8 @@ def _said(term: Term) -> str:
 
 def _unknown_channels(recording: Recording, terms: tuple[Term, ...]) -> list[str]:
     """Return a sentence on each long pause of a channel that a term follows."""
-    rows, names = channels_by_kind(recording.channels), rows_by_kind(recording.channels)
+    channels = followed(recording.channels, terms)
+    rows, names = channels_by_kind(channels), rows_by_kind(channels)
     said = []
     for term in terms:
         needed = FORMS[term.name].needs if term.subtracted else ()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.calibration.followed import followed
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
@@ -81,7 +82,7 @@ def as_signals(name: str, rows: int, given: Mapping[str, Any], terms: Sequence[T
         acceleration=columns.get("acceleration"),
         channels={
             kind: np.stack([_filled(time, row) for row in value])
-            for kind, value in channels_by_kind(channels if terms else {}).items()
+            for kind, value in channels_by_kind(followed(channels, terms) if terms else {}).items()
             if np.isfinite(value).any()
         },
     )

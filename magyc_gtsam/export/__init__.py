@@ -85,10 +85,10 @@ def export(
         after.gyro_bias,
         parse_axes(gyroscope_axes),
     )
-    correction, missing = with_terms(bare, after.terms, target, per_motor)
+    correction, missing = with_terms(bare, after.terms, target, per_motor, _of_target(autopilot, target))
     placed, left_out = in_places(correction, *places)
     lines = numbered(TARGETS[target](placed), target, *places)
-    lines += cleared(lines, target, places[0])
+    lines += cleared(lines, target, places[0], autopilot)
     missing += ["motor-current"] if correction.motor is not None and target not in _WITH_MOTOR else []
     if target not in _WITH_TEMPERATURE:
         missing += ["temperature-hard-iron"] if correction.thermal is not None else []
@@ -101,6 +101,10 @@ def export(
         *first,
     ]
     return "\n".join([*remarks, *lines]) + "\n"
+
+
+def _of_target(autopilot: Autopilot | None, target: str) -> Autopilot | None:
+    return autopilot if autopilot is not None and autopilot.firmware == target else None
 
 
 def _in_own_axes(correction: Correction) -> list[str]:

@@ -1,4 +1,7 @@
-"""ArduPilot: field = M (R raw + OFS) + current · MOT, R from COMPASS_ORIENT and CUST_ROT1, current in A.
+"""ArduPilot: field = M (R raw + OFS) + power · MOT, R from COMPASS_ORIENT and CUST_ROT1.
+
+The power is the throttle, 0 to 1, of Copter and Sub (COMPASS_MOTCT 1), or the current of battery 1 in A (2), by
+AP_Compass_Backend::correct_field.
 
 With compensation per motor the last term is Σ output · PMOT over four motors.
 """
@@ -19,6 +22,7 @@ from magyc_gtsam.export.correction import (
     number,
     symmetric,
 )
+from magyc_gtsam.export.power import CURRENT
 from magyc_gtsam.factors.errors import MagycError
 
 MOTORS = 4  # number of motors with separate compensation
@@ -61,9 +65,14 @@ def ardupilot(c: Correction) -> list[str]:
         notes.append("LIMIT: a COMPASS_ODI is beyond 1, the limit of ArduPilot's own fit.")
     to_field = unturned_scale if rotation is None else rotation @ unturned_scale
     if c.motor is not None:
-        values |= {"COMPASS_MOTCT": 2} | axes("COMPASS_MOT_{}", -to_field @ c.motor * _MILLIGAUSS)
-        notes.append("COMPASS_MOT: milligauss per ampere of battery 1's current, ADDED after the matrix.")
-        notes.append("If the channel was a throttle of 0 to 1: COMPASS_MOTCT 1, with the same COMPASS_MOT.")
+        values |= {"COMPASS_MOTCT": c.power.type} | axes("COMPASS_MOT_{}", -to_field @ c.motor * _MILLIGAUSS)
+        of = "per ampere of battery 1's current" if c.power.type == CURRENT else "at full throttle"
+        notes.append(f"COMPASS_MOT: milligauss {of}, ADDED after the matrix.")
+        notes.append(
+            f"It was found with the channel {c.power.channel}."
+            if c.power.channel
+            else "If the channel was a throttle of 0 to 1: COMPASS_MOTCT 1, with the same COMPASS_MOT."
+        )
     if c.motors is not None:
         values |= {"COMPASS_PMOT_EN": 1, "COMPASS_PMOT_EXP": 1.0}
         for k, motor in enumerate(c.motors, start=1):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from magyc_gtsam.export.power import Power
 from magyc_gtsam.factors.errors import MagycError
 
 Array = NDArray[np.float64]
@@ -29,7 +30,8 @@ class Correction:
         gyro_axes: (3, 3) from the gyroscope's own axes to the magnetometer's.
         rotation: (3, 3), or None.
         mounting: (3, 3), by which ArduPilot turned the sensor's readings into the axes of the matrix.
-        motor: (3,) T/A, or None.
+        motor: (3,) T at 1 A or full throttle, or None.
+        power: what the current or throttle of `motor` is.
         thermal: (3,) T/°C, or None.
         reference: °C.
         motors: (4, 3) T, subtracted in proportion to the output of each motor; or None.
@@ -44,6 +46,7 @@ class Correction:
     rotation: Array | None = None
     mounting: Array = field(default_factory=lambda: np.eye(3))
     motor: Array | None = None
+    power: Power = field(default_factory=Power)
     thermal: Array | None = None
     reference: float = 0.0
     motors: Array | None = None

@@ -10,16 +10,18 @@ import numpy as np
 
 from magyc_gtsam.export.ardupilot import motors_of
 from magyc_gtsam.export.correction import Correction, degrees
+from magyc_gtsam.export.power import power_of
 from magyc_gtsam.factors.effects.corrections import corrected_field
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.recording.autopilot import Autopilot
 
 _SMALLEST_ROTATION = 1e-6  # rad; less is rounding
 _ROTATIONS = ("misalignment", "axis-order")  # terms that turn the field to the gyroscope's axes
 
 
 def with_terms(
-    bare: Correction, terms: Sequence[Term], target: str, per_motor: bool
+    bare: Correction, terms: Sequence[Term], target: str, per_motor: bool, autopilot: Autopilot | None = None
 ) -> tuple[Correction, list[str]]:
     """Return a correction with each term in the parameter that a target has for it, and the names of the others.
 
@@ -29,6 +31,7 @@ def with_terms(
         terms: of the calibration.
         target: "px4", "ardupilot", "vectornav" or "ros".
         per_motor: the channels of current are outputs of motors, each with separate compensation.
+        autopilot: of the log, if it is the target's.
     """
     missing: list[str] = []
     found: dict[str, Any] = {}
@@ -44,7 +47,11 @@ def with_terms(
             found["motors"], at_rest = motors_of(term.value, term.setting)
             offset = offset - at_rest
         elif motor and steady and not per_motor and "motor" not in found:
-            found["motor"] = term.value
+            power = power_of(term, autopilot)
+            if isinstance(power, str):
+                missing.append(f"{term.name} ({power})")
+                continue
+            found |= {"motor": term.value * power.unit, "power": power}
             offset = offset - term.value * sum(term.setting.values())  # at most one reference: it has one channel
         elif term.name == "temperature-hard-iron" and steady:
             found |= {"thermal": term.value, "reference": term.setting.get("reference_0", 0.0)}

@@ -75,15 +75,32 @@ def in_places(correction: Correction, magnetometer: Place, gyroscope: Place) -> 
     return placed, remarks
 
 
-def cleared(lines: list[str], target: str, magnetometer: Place) -> list[str]:
-    """Return the lines that set to 0 what corrects the magnetometer on the vehicle, and did not in the recording."""
-    separator = "\t" if target == "px4" else ","
-    written = {part for line in lines if not line.startswith("#") for part in line.split(separator)}
-    names = [name for name in magnetometer.to_clear if name not in written]
-    if not names:
+def cleared(lines: list[str], target: str, magnetometer: Place, autopilot: Autopilot | None) -> list[str]:
+    """Return the lines that set to 0 what corrects a compass on the vehicle, and must not any more.
+
+    That is what did not correct it in the recording, and what corrects other compasses by a power that is another one
+    from now on, since all compasses have the same.
+    """
+    if target not in _COMPASSES:
         return []
-    remark = f"# {', '.join(names)}: 0, because the log's correction for the motors is not in this calibration."
-    return [remark, *(f"1\t1\t{name}\t{number(0.0)}\t9" if target == "px4" else f"{name},0" for name in names)]
+    separator = "\t" if target == "px4" else ","
+    written = dict(
+        line.split(separator)[2:4] if target == "px4" else line.split(separator)
+        for line in lines
+        if not line.startswith("#") and separator in line
+    )
+    names = [name for name in magnetometer.to_clear if name not in written]
+    because = {"the log's correction for the motors is not in this calibration": names}
+    power = "CAL_MAG_COMP_TYP" if target == "px4" else "COMPASS_MOTCT"
+    if autopilot is not None and written.get(power, str(autopilot.compensation)) != str(autopilot.compensation):
+        why = f"{power} was {autopilot.compensation} in the log, and those are of other compasses, not calibrated here"
+        because[why] = list(autopilot.others)
+    result: list[str] = []
+    for why, those in because.items():
+        if those:
+            result.append(f"# {', '.join(those)}: 0, because {why}.")
+            result += [f"1\t1\t{name}\t{number(0.0)}\t9" if target == "px4" else f"{name},0" for name in those]
+    return result
 
 
 def numbered(lines: list[str], target: str, magnetometer: Place, gyroscope: Place) -> list[str]:

@@ -1,4 +1,8 @@
-"""PX4: field = R S (raw + power · COMP − TC(temperature) − OFF), R from ROT, ROLL, PITCH, YAW, power in kA."""
+"""PX4: field = R S (raw + power · COMP − TC(temperature) − OFF), R from ROT, ROLL, PITCH, YAW.
+
+The power is the throttle, 0 to 1, while armed (CAL_MAG_COMP_TYP 1), or the current of battery 1 (2) or 2 (3) in kA, by
+VehicleMagnetometer::UpdatePowerCompensation.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,7 @@ from magyc_gtsam.export.correction import (
     number,
     symmetric,
 )
+from magyc_gtsam.export.power import THROTTLE
 
 _SCALE = (0.1, 3.0)  # range of CAL_MAG0_*SCALE
 
@@ -37,10 +42,16 @@ def px4(c: Correction) -> list[str]:
         notes.append("It replaces CAL_MAG0_ROT of the log (0 if the log is not of PX4), for an external compass.")
         notes.append(EXTERNAL_ONLY)
     if c.motor is not None:
-        whole["CAL_MAG_COMP_TYP"] = 2
-        values |= axes("CAL_MAG0_{}COMP", -c.motor * GAUSS * 1e3)
-        notes.append("CAL_MAG0_*COMP: gauss per kA of battery 1's current, ADDED to the raw field, while armed.")
-        notes.append("If the channel was a throttle of 0 to 1: CAL_MAG_COMP_TYP 1, and COMP divided by 1000.")
+        whole["CAL_MAG_COMP_TYP"] = c.power.type
+        values |= axes("CAL_MAG0_{}COMP", -c.motor * GAUSS * (1.0 if c.power.type == THROTTLE else 1e3))
+        battery = f"per kA of battery {c.power.type - 1}'s current"
+        of = "at full throttle" if c.power.type == THROTTLE else battery
+        notes.append(f"CAL_MAG0_*COMP: gauss {of}, ADDED to the raw field, while armed.")
+        notes.append(
+            f"It was found with the channel {c.power.channel}."
+            if c.power.channel
+            else "If the channel was a throttle of 0 to 1: CAL_MAG_COMP_TYP 1, and COMP divided by 1000."
+        )
     if c.thermal is not None:
         whole["TC_M_ENABLE"] = 1
         values |= _polynomial("TC_M0", c.thermal * GAUSS, c.reference)

@@ -9,6 +9,7 @@ from typing import overload
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import on_recording
+from magyc_gtsam.calibration.followed import followed
 from magyc_gtsam.calibration.noted import as_mounted, noted, with_clock_drift
 from magyc_gtsam.estimators.smoother.clock_drift import restamped
 from magyc_gtsam.factors.errors import MagycError
@@ -88,6 +89,8 @@ def find_gap(
     _check_types(recording, calibration, simulated)
     report(0.0)
     calibration, _ = on_recording(calibration, recording)
+    if calibration is not None:
+        recording = replace(recording, channels=followed(recording.channels, calibration.terms))
     drift = 0.0 if calibration is None else calibration.configuration.get("clock_drift", 0.0)
     theirs, before = None, 0.0
     if simulated is not None:  # first, since an error in it would cost the result of the recording

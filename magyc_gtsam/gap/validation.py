@@ -8,6 +8,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import elsewhere
+from magyc_gtsam.calibration.followed import followed
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SensorNoise
@@ -143,6 +144,7 @@ def _prepared(recording: Recording, calibration: Calibration) -> Recording:
     """Return the recording with the gyroscope in the axes of the calibration, and held samples at their own times."""
     needs_gyroscope(recording)
     recording = without_faults(recording).recording
+    recording = replace(recording, channels=followed(recording.channels, calibration.terms))
     for term in calibration.terms:
         if term.name == "axis-order":
             recording = with_turned_gyroscope(recording, np.reshape(term.value, (3, 3)))

@@ -25,6 +25,8 @@ _AXES = {
 }
 _OFFSETS = (("OfsX", "OfsY", "OfsZ"),)
 _MOTORS = (("MOX", "MOY", "MOZ"), ("MOfsX", "MOfsY", "MOfsZ"))  # the second until version 3.6
+_THROTTLE_IN = "ThI"  # in CTUN of Copter and Sub, which alone tell the compass their throttle
+_PER_MILLE = 1.5  # throttle above which it is one of the logs of before 2016, of 0 to 1000
 _CHANNELS = ("BAT.Curr", "BAT.Volt", "BARO.Temp", "IMU.T", "CTUN.ThO")
 
 
@@ -67,7 +69,13 @@ def read(path: Path, request: Request) -> Recording:
         name=path.stem,
         notes=tuple(notes),
         attitude_is="estimate",
-        autopilot=Autopilot("ardupilot", place, gyroscope_place),
+        autopilot=Autopilot(
+            "ardupilot",
+            place,
+            gyroscope_place,
+            _powers(log, channels),
+            *ardupilot_compass.motors_of(log.parameters[-1], place),
+        ),
     )
 
 
@@ -83,7 +91,8 @@ def _fields(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
         if not dot:
             raise MagycError(f"channels: {channel!r}; write them as message.field (BAT.Curr), or message[1].field")
         kind = message.split("[")[0]
-        fields[kind] = tuple(dict.fromkeys((*fields.get(kind, ()), member)))
+        of_vehicle = (_THROTTLE_IN,) if kind == "CTUN" else ()
+        fields[kind] = tuple(dict.fromkeys((*fields.get(kind, ()), member, *of_vehicle)))
     return fields
 
 
@@ -190,4 +199,19 @@ def _channels(log: ArduPilotLog, channels: tuple[str, ...], request: Request) ->
             result[channel] = Stream(channel, samples.stamp, samples.columns[member])
         elif request.channels is not None:
             raise MagycError(f"channels: the log has no {channel!r}; write them as message.field")
+    return result
+
+
+def _powers(log: ArduPilotLog, channels: tuple[str, ...]) -> dict[str, tuple[int, float]]:
+    """Return `Autopilot.powers` of the channels: battery 1's current, and the throttle that the compass is told."""
+    result = {}
+    for channel in channels:
+        message, member = channel.split(".", 1)
+        key = next((k for k in sorted(log.samples) if message in (k[0], label(k))), None)
+        columns = log.samples[key].columns if key is not None else {}
+        if key == ("BAT", 0) and member == "Curr":
+            result[channel] = (2, 1.0)
+        elif key is not None and key[0] == "CTUN" and member == "ThO" and {member, _THROTTLE_IN} <= columns.keys():
+            largest = np.nanmax(np.abs(columns[member]), initial=0.0)
+            result[channel] = (1, 1000.0 if largest > _PER_MILLE else 1.0)
     return result

@@ -141,6 +141,12 @@ def _of_motors(parameters: dict[str, float], slot: int) -> tuple[str, ...]:
     return tuple(name for name in names if parameters.get(name, 0.0))
 
 
+def motors_of(parameters: dict[str, float], place: Place) -> tuple[int, tuple[str, ...]]:
+    """Return `Autopilot.compensation`, and `Autopilot.others` beside the compass of a place."""
+    others = (f"COMPASS_MOT{_number(slot)}_{axis}" for slot in range(3) if slot != place.slot for axis in "XYZ")
+    return int(parameters.get("COMPASS_MOTCT", 0)), tuple(n for n in others if parameters.get(n, 0.0))
+
+
 def _number(index: int) -> str:
     """Return the suffix of the parameters of a driver: "" for the first, "2", "3"."""
     return str(index + 1) if index else ""

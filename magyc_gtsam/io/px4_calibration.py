@@ -108,6 +108,13 @@ def undo(
     return value @ rotation.T, notes, place
 
 
+def motors_of(parameters: Parameters, place: Place) -> tuple[int, tuple[str, ...]]:
+    """Return `Autopilot.compensation`, and `Autopilot.others` beside the magnetometer of a place."""
+    last = parameters.epochs("CAL_MAG")[1][-1]
+    others = (f"CAL_MAG{n}_{axis}COMP" for n in _INSTANCES if n != place.slot for axis in "XYZ")
+    return int(last.get("CAL_MAG_COMP_TYP", 0)), tuple(name for name in others if last.get(name, 0.0))
+
+
 def _uncorrected(kind: str, index: int, value: Array, parameters: Mapping[str, float]) -> tuple[Array, str]:
     """Return values (n, 3) in the sensor's axes without the parameters number `index`, and a note.
 

@@ -12,7 +12,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io import px4_thermal
 from magyc_gtsam.io.log_info import LogInfo, Source
-from magyc_gtsam.io.px4_calibration import Parameters, undo
+from magyc_gtsam.io.px4_calibration import Parameters, motors_of, undo
+from magyc_gtsam.io.px4_channels import CHANNELS, channels_of, powers_of
 from magyc_gtsam.io.px4_messages import Array, Message, device_of, load
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
@@ -31,14 +32,6 @@ _MESSAGES = {
     "angular_rate": {"sensor_combined": "gyro_rad[{}]", "sensor_gyro": "xyz"},
     "acceleration": {"sensor_combined": "accelerometer_m_s2[{}]"},
 }
-_CHANNELS = (
-    "battery_status.current_a",
-    "battery_status.voltage_v",
-    "actuator_controls_0.control[3]",
-    "sensor_mag.temperature",
-    "sensor_combined.baro_temp_celcius",
-    "vehicle_air_data.baro_temp_celcius",
-)
 _AUXILIARY = ("sensor_selection", "magnetometer_bias_estimate")
 
 
@@ -49,7 +42,7 @@ def read(path: Path, request: Request) -> Recording:
         MagycError: pyulog is not installed, a message is missing, or the applied calibration cannot be undone.
     """
     request.only("PX4", clock="the stamps of the sensors")
-    channels = request.channels if request.channels is not None else _CHANNELS
+    channels = request.channels if request.channels is not None else CHANNELS
     names = {m for fields in _MESSAGES.values() for m in fields} | {"vehicle_attitude", *_AUXILIARY}
     names |= {c.split(".")[0].split("[")[0] for c in channels}
     names |= {n.split("[")[0] for s in request.sensors if (n := request.named(s))}
@@ -71,13 +64,15 @@ def read(path: Path, request: Request) -> Recording:
         sensors["attitude"] = attitude
     recording = assemble(
         sensors,
-        _channels(messages, request),
+        channels_of(messages, request),
         request,
         name=path.stem,
         notes=tuple(notes),
         angular_rate_is=mean,
         attitude_is="estimate",
-        autopilot=Autopilot("px4", place, gyroscope_place),
+        autopilot=Autopilot(
+            "px4", place, gyroscope_place, powers_of(messages, channels), *motors_of(parameters, place)
+        ),
     )
     request.report(1.0)
     return recording
@@ -98,7 +93,7 @@ def info(path: Path) -> LogInfo:
         serves += ["attitude"] if "q[0]" in m.data and m.name.startswith("vehicle_attitude") else []
         serves += (
             ["channel"]
-            if any(c.split(".")[0] == m.name and c.split(".", 1)[1] in m.data for c in _CHANNELS)
+            if any(c.split(".")[0] == m.name and c.split(".", 1)[1] in m.data for c in CHANNELS)
             else []
         )
         times = m.data["timestamp"]
@@ -251,17 +246,3 @@ def _attitude(messages: list[Message], request: Request, notes: list[str]) -> St
         "estimate, to which the magnetometer contributed"
     )
     return Stream(message.label, message.stamp * 1000, quaternion)
-
-
-def _channels(messages: list[Message], request: Request) -> dict[str, Stream]:
-    """Return the channels that the log has."""
-    result = {}
-    for name in request.channels if request.channels is not None else _CHANNELS:
-        label, _, member = name.partition(".")
-        matches = [m for m in messages if label in (m.name, m.label) and member in m.data and m.count > 1]
-        if matches:
-            value = np.asarray(matches[0].data[member], dtype=np.float64)
-            result[name] = Stream(name, np.asarray(matches[0].data["timestamp"]).astype(np.int64) * 1000, value)
-        elif request.channels is not None:
-            raise MagycError(f"channels: the log has no {name!r}; write them as message.field")
-    return result

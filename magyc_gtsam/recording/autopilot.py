@@ -69,11 +69,18 @@ class Autopilot:
     Attributes:
         firmware: the export target that has them, "px4" or "ardupilot"; "" if the log does not say.
         magnetometer, gyroscope: the place of each.
+        powers: {channel of the log: (type, unit)} of what the firmware can multiply a compass's motor parameters by:
+            the value of COMPASS_MOTCT or CAL_MAG_COMP_TYP for it, and the value of the channel at 1 A or full throttle.
+        compensation: the value of COMPASS_MOTCT or CAL_MAG_COMP_TYP at the end of the log, of all compasses.
+        others: names of the motor parameters of the vehicle's other compasses that are set.
     """
 
     firmware: str
     magnetometer: Place = field(default_factory=Place)
     gyroscope: Place = field(default_factory=Place)
+    powers: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    compensation: int = 0
+    others: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the places as JSON types."""
@@ -81,7 +88,13 @@ class Autopilot:
         for place in places.values():
             place |= {name: [list(row) for row in place[name]] for name in ("axes", "mounting")}
             place["to_clear"] = list(place["to_clear"])
-        return {"firmware": self.firmware, **places}
+        return {
+            "firmware": self.firmware,
+            **places,
+            "powers": {name: [int(kind), float(unit)] for name, (kind, unit) in self.powers.items()},
+            "compensation": self.compensation,
+            "others": list(self.others),
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> Autopilot:
@@ -93,8 +106,18 @@ class Autopilot:
         try:
             if not isinstance(data, Mapping) or not isinstance(data["firmware"], str):
                 raise TypeError("firmware is missing")
-            return cls(data["firmware"], Place(**data["magnetometer"]), Place(**data["gyroscope"]))
-        except (KeyError, TypeError) as error:
+            powers = {str(name): (int(kind), float(unit)) for name, (kind, unit) in data.get("powers", {}).items()}
+            if not all(kind in (1, 2, 3) and 0 < unit < np.inf for kind, unit in powers.values()):
+                raise TypeError(f"powers {powers!r:.60}")
+            return cls(
+                data["firmware"],
+                Place(**data["magnetometer"]),
+                Place(**data["gyroscope"]),
+                powers,
+                int(data.get("compensation", 0)),
+                tuple(str(name) for name in data.get("others", ())),
+            )
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise MagycError(f"autopilot: damaged entry ({error}); calibrate the log again") from None
 
 

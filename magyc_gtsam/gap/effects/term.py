@@ -14,7 +14,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting, beyond_reference, referenced
 from magyc_gtsam.factors.effects.forms import FORMS, Form
-from magyc_gtsam.factors.effects.signals import CHANNELS, rows_by_kind
+from magyc_gtsam.factors.effects.signals import CHANNELS, rows_by_kind, stands_in
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -134,7 +134,9 @@ class EffectTerm:
             rows: names of the rows of the channel.
         """
         if len(rows) < 2:
-            return self.say(value, sigma, setting)
+            said = self.say(value, sigma, setting)
+            other = [row for row in rows if self.kind is not None and stands_in(row, self.kind)]
+            return f"{said}; the channel is {other[0]}, for want of a {self.kind}" if other else said
         values, sigmas = value.reshape(len(rows), -1), sigma.reshape(len(rows), -1)
         shown = np.any(np.abs(values) > _SHOWS * sigmas, axis=1)
         return "; ".join(

@@ -10,7 +10,9 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.signals import rows_by_kind
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.rules import RULES
 
@@ -21,10 +23,11 @@ def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Ter
     base = np.flatnonzero(model.free)[:12]
     covariance = result.covariance[: len(base), : len(base)]
     soft_iron, unit, reported = fix_scale(unvech(parameters[:6]), covariance, field_strength)
-    terms = []
+    terms, followed = [], rows_by_kind(result.twin.problem.recording.channels)
     for index, term in enumerate(model.terms):
         value, spread = result.value_of(index)
-        terms.append(Term(term.name, value, spread, term.setting))
+        kind = TERMS[term.name].kind
+        terms.append(Term(term.name, value, spread, term.setting, () if kind is None else followed.get(kind, ())))
     late = np.flatnonzero(np.flatnonzero(model.free) == DELAY)  # free without a timing, too
     return Calibration(
         soft_iron,
