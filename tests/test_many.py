@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +159,22 @@ def test_what_does_nothing_is_refused(
         assert main(list(map(str, words))) == 2
         assert says in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("reset", ["1970-01-01", "1980-01-06", "2000-01-01"])
+def test_a_log_of_a_clock_that_was_not_set_is_not_the_first(
+    reset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None
+) -> None:
+    """Ordered by it the newest dive came first, and the iron of another one was predicted."""
+    for k, day in enumerate(["2024-05-01", "2024-05-02", reset]):
+        dive = mg.simulate("wide", 120, 10, seed=k, hard_iron=[2e-6 + 2e-6 * k, 12e-6, 9e-6]).recording
+        start = np.datetime64(day, "s").astype(float) + 60.0
+        write_mcap(tmp_path / f"dive{k + 1}.mcap", replace(dive, attitude=None, time=dive.time + start))
+    assert main(["history", str(tmp_path), "-o", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert "note: dive3.mcap has no date (its clock was not set" in told.err
+    assert "2024-05-02" in told.out
+    assert mg.Calibration.load(tmp_path / "out" / "next.yaml").hard_iron[0] == pytest.approx(6e-6, abs=1e-6)
 
 
 def test_a_history_of_no_usable_log_says_why_of_each(

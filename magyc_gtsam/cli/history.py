@@ -27,7 +27,7 @@ from magyc_gtsam.cli.terminal import (
     show_table,
     stages,
 )
-from magyc_gtsam.foreign_text import counted, with_minus
+from magyc_gtsam.foreign_text import counted, listed, with_minus
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -55,8 +55,9 @@ def run(
 
     Its soft iron is constant between refits, its hard iron drifts and jumps. Writes history.yaml (a summary of each
     log, for --add), report.html, and next.yaml with parameters to paste for the next log. Exit code 1: done, but the
-    logs are of several instruments, the last one contradicts those before it or is dated in the future: no parameters,
-    and next.yaml is marked as untrusted; or no log, or none of --add, can be used. 2: no log can be read.
+    logs are of several instruments, the last one contradicts those before it, or their order in time is not known
+    (dates in the future, or years apart): no parameters, and next.yaml is marked as untrusted; or no log, or none of
+    --add, can be used. 2: no log can be read.
     """
     try:
         return _followed(reading, scale, more, gyroscope_scale, add, output, engine, quiet, json)
@@ -100,7 +101,6 @@ def _followed(
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
-    from magyc_gtsam.history.doubt import far_apart
     from magyc_gtsam.io.many import find_logs
     from magyc_gtsam.report.summary_page import history_page, judged_history
     from magyc_gtsam.storage.files import write_text
@@ -138,7 +138,7 @@ def _followed(
     unused = [factor for factor in factors if factor.mean is None]
     if quiet or json:  # the table has them
         notes += [f"{factor.name} is not used: {factor.problem}" for factor in unused]
-    for note in [*notes, *far_apart(history.factors)]:
+    for note in [*notes, *_order_given(history)]:
         complain(f"note: {note}")
     if not verdict.trusted:
         remove_exports(folder)  # those of an earlier run
@@ -175,6 +175,20 @@ def _new(factors: Sequence[LogFactor], before: History) -> tuple[list[LogFactor]
     if not new:
         raise MagycError(f"{notes[0].removesuffix('; left out')}; name a new log")
     return new, notes
+
+
+def _order_given(history: History) -> list[str]:
+    """Return a note that some logs have no date, if others have one: all of them are in the order given then."""
+    calibrated = [factor for factor in history.factors if factor.mean is not None]
+    undated = [factor.name for factor in calibrated if factor.time is None]
+    if not undated or len(undated) == len(calibrated):
+        return []
+    clock = "its clock was" if len(undated) == 1 else "their clocks were"
+    has = "has" if len(undated) == 1 else "have"
+    return [
+        f"{listed(undated)} {has} no date ({clock} not set, or counts from the start): all logs are taken in the order "
+        "given, those of a folder in that of their names"
+    ]
 
 
 def _named_apart(names: Sequence[str], before: History) -> list[str]:

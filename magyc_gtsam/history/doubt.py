@@ -41,12 +41,15 @@ def date_of(seconds: float) -> str:
 def doubt_of(
     factors: Sequence[LogFactor], groups: Sequence[Sequence[int]], instruments: Sequence[Instrument]
 ) -> HistoryDoubt | None:
-    """Return why the next log is not predicted: logs of several instruments or places, in the future, or a last log
-    that is left out.
+    """Return why the next log is not predicted: logs of several instruments or places, an order in time that is not
+    known, or a last log that is left out.
     """
     several = several_instruments([[factors[i].name for i in group] for group in groups])
     if several is not None:
         return several
+    apart = None if any(log.time is None and log.mean is not None for log in factors) else _far_apart(factors)
+    if apart is not None:
+        return apart
     main = instruments[0]
     used = [k for k, i in enumerate(main.order) if factors[i].mean is not None]
     last = factors[main.order[used[-1]]]
@@ -110,16 +113,18 @@ def _newest(instruments: Sequence[Instrument]) -> int:
     return max(dated)[1]
 
 
-def far_apart(factors: Sequence[LogFactor]) -> list[str]:
-    """Return a note on each log that is dated years before the next one, as by a clock that was never set."""
-    known = [(each.time, each.name) for each in factors if each.time is not None and each.mean is not None]
-    present = sorted(each for each in known if each[0] <= time.time() + DAY)
-    return [
-        f"{name} is dated {date_of(at)}, {(later - at) / DAY:.0f} days before {after}: if its clock was not set, the "
-        "logs are not in their order; leave it out, or correct its date"
-        for (at, name), (later, after) in pairwise(present)
-        if later - at > _FAR_APART * DAY
-    ]
+def _far_apart(factors: Sequence[LogFactor]) -> HistoryDoubt | None:
+    """Return that a log is dated years before the next one, as by a clock that was never set; None if none is."""
+    known = sorted((each.time, each.name) for each in factors if each.time is not None and each.mean is not None)
+    for (at, name), (later, after) in pairwise(known):
+        if later - at > _FAR_APART * DAY and later <= time.time() + DAY:
+            return HistoryDoubt(
+                f"{name} is dated {date_of(at)}, {(later - at) / DAY:.0f} days before {after}, as by a clock that was "
+                "not set",
+                f"leave out the logs before {after}, or correct their dates",
+                "The order of the logs is not known",
+            )
+    return None
 
 
 def _is_ahead(factor: LogFactor) -> bool:

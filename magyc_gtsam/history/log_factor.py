@@ -44,7 +44,9 @@ _SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
 }
 _WEAK = 10.0  # ratio of the weak prior's deviation to the prior's; the weak priors of a hundred logs count as one prior
 _UNKNOWN_BIAS = 1e3  # mrad/s, standard deviation of a bias that the method does not estimate
-_CALENDAR = 1e8  # s since 1970; a clock below this does not show the date
+# s since 1970, September 2001. A clock below this does not show the date; those that were never set begin in 1970, 1980
+# and 2000.
+_CALENDAR = 1e9
 
 
 @dataclass(frozen=True, eq=False)
