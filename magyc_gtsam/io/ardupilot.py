@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import ardupilot_compass, ardupilot_gyroscope
-from magyc_gtsam.io.ardupilot_messages import ArduPilotLog, label, load
+from magyc_gtsam.io.ardupilot_messages import ArduPilotLog, InstanceSamples, label, load
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
@@ -146,6 +146,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tupl
             "the log has no MAG messages; have ArduPilot log the compass (LOG_BITMASK, bit 'Compass')"
         )
     samples = log.samples[key]
+    _expect_one_boot(samples, request)
     stream = samples.stream(*_AXES["magnetic_field"][1])
     raw, correction_notes = ardupilot_compass.undo(
         stream.value,
@@ -166,6 +167,20 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tupl
             )
             stream = stream.rows(healthy)
     return stream, ardupilot_compass.place_of(log.parameters[-1], key[1])
+
+
+def _expect_one_boot(samples: InstanceSamples, request: Request) -> None:
+    """Raise a MagycError if the vehicle was switched on again in between, and its clock does not show it later."""
+    again = np.flatnonzero(np.diff(samples.boot))
+    if len(again) == 0 or request.start is not None or request.end is not None:
+        return
+    before, after = samples.stamp[again[0]], samples.stamp[again[0] + 1]
+    if after > before:
+        at = (0.5 * (before + after) - samples.stamp[0]) / 1e9
+        raise MagycError(
+            f"{samples.name}: the vehicle was switched on again after sample {again[0] + 1}, {at:.1f} s into the log; "
+            f"read one side of it (end={at:.1f} or start={at:.1f})"
+        )
 
 
 def _attitude(log: ArduPilotLog, request: Request, notes: list[str]) -> Stream | None:

@@ -43,7 +43,6 @@ def undo(
     Raises:
         MagycError: the log has no compass parameters, or the order of its corrections is unknown.
     """
-    _check_complete(parameters[-1], _number(slot_of(parameters[-1], instance)))
     raw = np.empty_like(logged)
     coarse = 0
     notes: list[str] = []
@@ -51,6 +50,7 @@ def undo(
         rows = which == index
         current = parameters[index]
         suffix = _number(slot_of(current, instance))
+        _check_complete(current, suffix)
         matrix, scale = _matrix(current, suffix), _scale(current, suffix)
         exact = np.array([current[f"COMPASS_OFS{suffix}_{axis}"] for axis in "XYZ"])
         # The parameter has the digits that were truncated, unless ArduPilot learned the offset in flight.

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import dataflash
 from magyc_gtsam.io.dataflash import Dataflash
+from magyc_gtsam.io.dataflash_types import TIMES
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
+
+_CUT = "it seems to be of several firmwares, one after the other: cut it where the vehicle was switched on"
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +30,14 @@ class InstanceSamples:
         stamp: (n,) ns.
         columns: {field: (n,)}.
         parameters: (n,) index of the set of parameters in force, in `ArduPilotLog.parameters`.
+        boot: (n,) how often the vehicle had been switched on again.
     """
 
     name: str
     stamp: Stamps
     columns: dict[str, Array]
     parameters: NDArray[np.int64]
+    boot: NDArray[np.int64]
 
     def stream(self, *columns: str) -> Stream:
         """Return the given columns as a stream (n, k).
@@ -94,6 +99,12 @@ def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: 
         notes.append(f"the log is damaged: {log.skipped} bytes belong to no message and were left out")
     if fields is None:
         fields = dict.fromkeys(log.kinds, ())
+    notes += [
+        f"{kind}: {count} messages left out, whose format does not fit their length"
+        for kind, count in log.misfits.items()
+        if kind in fields
+    ]
+    fields = {kind: columns for kind, columns in fields.items() if _is_one(log, kind, columns, notes)}
     present = [k for k in fields if k in log.kinds and log.kinds[k].time and log.kinds[k].fields is not None]
     notes += [
         f"{kind} left out: its format does not fit the length of its messages"
@@ -131,11 +142,27 @@ def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: 
                     if known.holds(c, "numbers")
                 }
             if key not in samples:
-                samples[key] = InstanceSamples(label(key), stamp[rows], columns, np.searchsorted(changes, at))
+                which, boot = (np.searchsorted(since, at) for since in (changes, log.boots))
+                samples[key] = InstanceSamples(label(key), stamp[rows], columns, which, boot)
         request.report(0.3 + 0.7 * (done + 1) / len(present))
     if impossible:
         notes.append(f"{impossible} messages have impossible times and were left out")
     return ArduPilotLog(samples, parameters, tuple(notes))
+
+
+def _is_one(log: Dataflash, kind: str, columns: tuple[str, ...], notes: list[str]) -> bool:
+    """Return whether the columns of a message are the same in all parts of the log; a note if they are not.
+
+    Raises:
+        MagycError: they are not, of a sensor.
+    """
+    partly = log.only_in_part(kind, (*TIMES, "I", *columns))
+    if partly:
+        what = f"{kind} is described in several ways, and only some have {', '.join(partly)}"
+        if kind.startswith(("MAG", "IMU")):
+            raise MagycError(f"{what}; {_CUT}")
+        notes.append(f"{what}: it was left out")
+    return not partly
 
 
 def _parameters(log: Dataflash, used: Stamps) -> tuple[list[dict[str, float]], Stamps]:
@@ -143,19 +170,30 @@ def _parameters(log: Dataflash, used: Stamps) -> tuple[list[dict[str, float]], S
 
     Args:
         log: the log with its PARM messages.
-        used: places of the messages that depend on parameters; a change between two of them begins a new set.
+        used: places of the messages that depend on parameters; a change between two of them begins a new set, and so
+            does each time that the vehicle was switched on again.
+
+    Raises:
+        MagycError: the messages have their columns in a part of the log only.
     """
     sets: list[dict[str, float]] = [{}]
     changes: list[int] = []
+    boots, begun = [place for place in log.boots.tolist() if (used > place).any()], 0
+    if log.only_in_part("PARM", ("Name", "Value")):
+        raise MagycError(f"PARM: the log describes it in several ways; {_CUT}")
     known = log.kinds.get("PARM")
     if known is None or not (known.holds("Name", "text") and known.holds("Value", "numbers")):
-        return sets, np.empty(0, dtype=np.int64)
+        return [*sets, *({} for _ in boots)], np.array(boots, dtype=np.int64)
     names, values = dataflash.names(log.column("PARM", "Name").tolist()), log.column("PARM", "Value").tolist()
     for place, name, value in zip(log.places("PARM").tolist(), names, values, strict=True):
         value = float(value)
+        while boots and place > boots[0]:
+            begun = len(sets)
+            sets.append({})
+            changes.append(boots.pop(0))
         if name not in sets[-1]:
             # ArduPilot logs sensors before it has logged all parameters: the first value applies from the start.
-            for one in sets:
+            for one in sets[begun:]:
                 one[name] = value
         elif sets[-1][name] != value:
             since, until = np.searchsorted(used, [changes[-1] if changes else -1, place])
@@ -163,7 +201,7 @@ def _parameters(log: Dataflash, used: Stamps) -> tuple[list[dict[str, float]], S
                 sets.append(dict(sets[-1]))
                 changes.append(place)
             sets[-1][name] = value
-    return sets, np.array(changes, dtype=np.int64)
+    return [*sets, *({} for _ in boots)], np.array([*changes, *boots], dtype=np.int64)
 
 
 def label(key: tuple[str, int]) -> str:

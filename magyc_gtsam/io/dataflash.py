@@ -2,81 +2,40 @@
 
 A message is 0xA3 0x95, the number of its type, and its packed fields. Messages follow each other directly, so that
 their places follow from the lengths of their types. Where this chain breaks (damage, or the two bytes by chance inside
-a message) it is resumed at the next message.
+a message) it is resumed at the next message. A type may be described again, in another form: each message has that of
+the last description before it.
 """
 
 from __future__ import annotations
 
 import mmap
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.dataflash_types import (
+    DESCRIPTION,
+    FORMAT,
+    TIMES,
+    MessageType,
+    described,
+    in_common,
+    same_layout,
+    text,
+)
 
 Places = NDArray[np.int64]
 
 MAGIC = b"\xa3\x95"
-_FORMAT = 0x80  # the type that describes the others
-_FIELDS = {
-    **{"b": "i1", "B": "u1", "M": "i1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8"},
-    **{"g": "<f2", "f": "<f4", "d": "<f8", "n": "S4", "N": "S16", "Z": "S64", "a": "(32,)<i2"},
-    **{"c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4"},
-}
-_DIVISORS = {**dict.fromkeys("cCeE", 100.0), "L": 1 / 1.0e-7}
 _SEARCHED = 1 << 24  # bytes searched at once
 _PAGE = 528  # bytes at the end that block-wise loggers leave unwritten
-_TIMES = {"TimeUS": 1_000, "TimeMS": 1_000_000}  # ns; the second before 2014
 _LATEST = 10**18  # ns since boot, 31 years; a larger stamp is damaged
-
-
-@dataclass(frozen=True, eq=False)
-class MessageType:
-    """A type of message.
-
-    Attributes:
-        name: such as "MAG".
-        number: identifies the type in the log.
-        length: bytes of a message, with the three bytes before its fields.
-        codes: the letter of each column's type.
-        columns: names of the columns.
-        fields: the packed fields; None if they do not fill the length.
-        instance: the column that numbers the instances, by the log's units; None if the log has none.
-    """
-
-    name: str
-    number: int
-    length: int
-    codes: str
-    columns: tuple[str, ...]
-    fields: np.dtype[Any] | None
-    instance: str | None = None
-
-    @property
-    def time(self) -> str | None:
-        """The column of time stamps; None without one."""
-        return next((c for c in _TIMES if self.holds(c, "numbers")), None)
-
-    def holds(self, column: str, what: Literal["numbers", "text"]) -> bool:
-        """Return whether there is such a column, and it has that type: damage can turn a number into text."""
-        if column not in self.columns or self.fields is None:
-            return False
-        code = self.codes[self.columns.index(column)]
-        return code in "nNZ" if what == "text" else code not in "nNZa"
-
-
-_DESCRIPTION = MessageType(
-    "FMT",
-    _FORMAT,
-    89,
-    "BBnNZ",
-    ("Type", "Length", "Name", "Format", "Columns"),
-    np.dtype([("Type", "u1"), ("Length", "u1"), ("Name", "S4"), ("Format", "S16"), ("Columns", "S64")]),
-)
 
 
 @dataclass
@@ -84,21 +43,30 @@ class Dataflash:
     """A log, open until `close`.
 
     Attributes:
-        kinds: {name: type}.
+        kinds: {name: type}; of a type that was described in several ways, with the columns that all have.
+        boots: bytes at which the log begins anew, after the vehicle was switched on again.
         skipped: number of bytes that belong to no message.
+        misfits: {name: number of messages} whose format does not fit their length, beside others of that name.
     """
 
     kinds: dict[str, MessageType] = field(default_factory=dict)
+    boots: Places = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     skipped: int = 0
+    misfits: dict[str, int] = field(default_factory=dict)
     _data: Any = None
     _bytes: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
-    _places: dict[int, Places] = field(default_factory=dict)
+    _parts: dict[str, list[tuple[MessageType, Places]]] = field(default_factory=dict)
 
     def places(self, kind: str) -> Places:
         """Return the bytes at which the messages of a type begin, ascending."""
-        known = self.kinds.get(kind)
-        empty = np.empty(0, dtype=np.int64)
-        return empty if known is None else self._places.get(known.number, empty)
+        parts = [places for _, places in self._parts.get(kind, [])]
+        return np.sort(np.concatenate(parts)) if parts else np.empty(0, dtype=np.int64)
+
+    def only_in_part(self, kind: str, columns: Sequence[str]) -> list[str]:
+        """Return which columns a type has in a part of the log, and not, or not of that sort, in another."""
+        types = [one for one, _ in self._parts.get(kind, [])]
+        common = in_common(types).columns if types else ()
+        return [c for c in columns if c not in common and any(c in one.columns for one in types)]
 
     def column(self, kind: str, name: str, places: Places | None = None) -> NDArray[Any]:
         """Return one column of all messages of a type (or those at `places`): numbers in its unit, or bytes.
@@ -106,20 +74,29 @@ class Dataflash:
         Raises:
             MagycError: the type's format does not fit the length of its messages.
         """
-        known = self.kinds[kind]
+        at = self.places(kind) if places is None else places
+        parts = self._parts[kind]
+        if len(parts) == 1:
+            return self._read(parts[0][0], name, at)
+        own = [np.isin(at, there) for _, there in parts]
+        values = [self._read(one, name, at[rows]) for (one, _), rows in zip(parts, own, strict=True)]
+        result = np.empty(len(at), dtype=np.result_type(*values))
+        for rows, value in zip(own, values, strict=True):
+            result[rows] = value
+        return result
+
+    def _read(self, known: MessageType, name: str, at: Places) -> NDArray[Any]:
         if known.fields is None:
             raise MagycError(
-                f"{kind}: its format {known.codes!r} does not fill its {known.length} bytes; the log is damaged"
+                f"{known.name}: its format {known.codes!r} does not fill its {known.length} bytes; the log is damaged"
             )
-        at = self.places(kind) if places is None else places
         rows = len(self._bytes) - known.length + 1  # number of bytes at which a message of this length can begin
         everywhere: NDArray[Any] = (
             np.ndarray((rows,), dtype=known.fields, buffer=self._data, offset=3, strides=(1,))
             if rows > 0
             else np.empty(0, dtype=known.fields)
         )
-        value = everywhere[name][at]
-        divisor = _DIVISORS.get(known.codes[known.columns.index(name)])
+        value, divisor = everywhere[name][at], known.divisor(name)
         return value if divisor is None else value / divisor
 
     def stamps(self, kind: str, places: Places) -> tuple[Places, NDArray[np.bool_]]:
@@ -127,8 +104,8 @@ class Dataflash:
         time = self.kinds[kind].time
         assert time is not None
         value = self.column(kind, time, places)
-        possible = value < _LATEST // _TIMES[time]
-        return np.where(possible, value, 0).astype(np.int64) * _TIMES[time], possible
+        possible = value < _LATEST // TIMES[time]
+        return np.where(possible, value, 0).astype(np.int64) * TIMES[time], possible
 
     def close(self) -> None:
         """Close the file."""
@@ -147,21 +124,16 @@ def load(path: Path) -> Dataflash:
     log = Dataflash(_data=data, _bytes=np.frombuffer(data, dtype=np.uint8))
     heads = _heads(log._bytes)
     numbers = log._bytes[heads + 2]
-    descriptions = heads[numbers == _FORMAT]
+    descriptions = heads[numbers == FORMAT]
     lengths: NDArray[np.int64] | None = None
     # A description found inside another message falsifies the lengths; the chain of messages then removes it.
     for _ in range(4):
-        before, lengths = lengths, _lengths(log, descriptions)
+        before, lengths = lengths, _lengths(log, heads, numbers, descriptions)
         if before is not None and np.array_equal(before, lengths):
             break
-        chain, log.skipped = _chain(heads, numbers, lengths, len(log._bytes))
-        descriptions = heads[chain][numbers[chain] == _FORMAT]
-    messages, types = heads[chain], numbers[chain]
-    order = np.argsort(types, kind="stable")
-    for part in np.split(order, np.flatnonzero(np.diff(types[order])) + 1):
-        if len(part):
-            log._places[int(types[part[0]])] = messages[part]
-    log.kinds = _kinds(log, descriptions)
+        chain, log.skipped = _chain(heads, lengths, len(log._bytes))
+        descriptions = heads[chain][numbers[chain] == FORMAT]
+    _sort(log, heads[chain], numbers[chain], descriptions)
     if not log.kinds:
         raise MagycError(f"{path}: not an ArduPilot log (it describes no messages); is the file damaged?")
     return log
@@ -178,24 +150,32 @@ def _heads(data: NDArray[np.uint8]) -> Places:
     return places[places < len(data) - 2]
 
 
-def _lengths(log: Dataflash, descriptions: Places) -> NDArray[np.int64]:
-    """Return the length (256,) of each type by its first description; 0 without one."""
-    lengths = np.zeros(256, dtype=np.int64)
-    lengths[_FORMAT] = _DESCRIPTION.length
-    log.kinds = {"FMT": _DESCRIPTION}
-    whole = descriptions[descriptions + _DESCRIPTION.length <= len(log._bytes)]
-    number, length = log.column("FMT", "Type", whole), log.column("FMT", "Length", whole)
-    for n, size in zip(number[::-1].tolist(), length[::-1].tolist(), strict=True):
-        if n != _FORMAT:
-            lengths[n] = size if size >= 3 else 0
-    return lengths
+def _lengths(log: Dataflash, heads: Places, numbers: NDArray[np.uint8], descriptions: Places) -> NDArray[np.int64]:
+    """Return the length of the message at each head, by the description before it; 0 without one."""
+    log._parts = {"FMT": [(DESCRIPTION, descriptions)]}
+    whole = descriptions[descriptions + DESCRIPTION.length <= len(log._bytes)]
+    number, length = log.column("FMT", "Type", whole), log.column("FMT", "Length", whole).astype(np.int64)
+    length[length < len(MAGIC) + 1] = 0
+    result = np.where(numbers == FORMAT, DESCRIPTION.length, 0).astype(np.int64)
+    for one in np.unique(number[number != FORMAT]).tolist():
+        rows, mine = np.flatnonzero(numbers == one), number == one
+        result[rows] = length[mine][_in_force(whole[mine], heads[rows])]
+    return result
 
 
-def _chain(
-    heads: Places, numbers: NDArray[np.uint8], lengths: NDArray[np.int64], size: int
-) -> tuple[NDArray[np.intp], int]:
-    """Return the indices of the heads that are messages, and the number of bytes that belong to none."""
-    length = lengths[numbers]
+def _in_force(descriptions: Places, places: Places) -> NDArray[np.intp]:
+    """Return the index of the last description before each place; of the first, where none is before it."""
+    return np.maximum(np.searchsorted(descriptions, places, side="right") - 1, 0)
+
+
+def _chain(heads: Places, length: NDArray[np.int64], size: int) -> tuple[NDArray[np.intp], int]:
+    """Return the indices of the heads that are messages, and the number of bytes that belong to none.
+
+    Args:
+        heads: where messages may begin.
+        length: of the message at each; 0 if it is not known.
+        size: of the file.
+    """
     end = heads + length
     known = (length > 0) & (end <= size)
     linked = np.zeros(len(heads), dtype=bool)
@@ -219,45 +199,57 @@ def _chain(
     return chain, size - covered - (tail if tail < _PAGE else 0)
 
 
-def _kinds(log: Dataflash, descriptions: Places) -> dict[str, MessageType]:
-    """Return the types by name, by their last description."""
-    rows = zip(*(log.column("FMT", c, descriptions).tolist() for c in _DESCRIPTION.columns), strict=True)
-    kinds: dict[int, MessageType] = {}
-    for number, length, name, codes, columns in rows:
-        kinds[number] = _kind(number, length, _text(name), _text(codes), _text(columns))
-    by_name = {kind.name: kind for kind in kinds.values() if kind.number in log._places}
-    log.kinds = by_name
-    units = by_name.get("FMTU")
+def _sort(log: Dataflash, messages: Places, numbers: NDArray[np.uint8], descriptions: Places) -> None:
+    """Sort the messages by their types, and set `kinds`, `boots` and the parts of each kind."""
+    log._parts = {"FMT": [(DESCRIPTION, descriptions)]}
+    rows = zip(*(log.column("FMT", c, descriptions).tolist() for c in DESCRIPTION.columns), strict=True)
+    types = [described(*row) for row in rows]
+    of_formats = [place for place, one in zip(descriptions.tolist(), types, strict=True) if one.number == FORMAT]
+    log.boots = np.array(of_formats[1:], dtype=np.int64)
+    found: list[tuple[int, Places]] = []  # index of a description, the messages that have it
+    for number in np.unique([one.number for one in types]).tolist():
+        mine = np.array([k for k, one in enumerate(types) if one.number == number], dtype=np.int64)
+        different = [
+            True,
+            *(not same_layout(types[a], types[b]) for a, b in pairwise(mine.tolist())),
+        ]
+        mine = mine[different]
+        there = messages[numbers == number]
+        which = _in_force(descriptions[mine], there)
+        found += [(int(k), there[which == i]) for i, k in enumerate(mine) if (which == i).any()]
+    _set_parts(log, types, found)
+    units = log.kinds.get("FMTU")
     if units is None or not (units.holds("FmtType", "numbers") and units.holds("UnitIds", "text")):
-        return by_name
-    for number, text in zip(
-        log.column("FMTU", "FmtType").tolist(), log.column("FMTU", "UnitIds").tolist(), strict=True
-    ):
-        kind = kinds.get(number)
-        place = _text(text).find("#") if isinstance(text, bytes) else -1
-        if kind is not None and 0 <= place < len(kind.columns) and kind.name in by_name:
-            by_name[kind.name] = MessageType(
-                kind.name, kind.number, kind.length, kind.codes, kind.columns, kind.fields, kind.columns[place]
-            )
-    return by_name
+        return
+    columns = (log.places("FMTU"), log.column("FMTU", "FmtType"), log.column("FMTU", "UnitIds"))
+    for at, number, letters in zip(*(c.tolist() for c in columns), strict=True):
+        place = text(letters).find("#") if isinstance(letters, bytes) else -1
+        mine = np.array([k for k, _ in found if types[k].number == number], dtype=np.int64)
+        if len(mine):
+            k = mine[_in_force(descriptions[mine], np.array([at]))[0]]
+            if 0 <= place < len(types[k].columns):
+                types[k] = replace(types[k], instance=types[k].columns[place])
+    _set_parts(log, types, found)
 
 
-def _kind(number: int, length: int, name: str, codes: str, columns: str) -> MessageType:
-    """Return the type that a description defines."""
-    names = tuple(columns.split(",")) if columns else ()
-    fields = None
-    if len(names) == len(codes) == len(set(names)) and all(
-        n and c in _FIELDS for n, c in zip(names, codes, strict=True)
-    ):
-        fields = np.dtype([(n, _FIELDS[c]) for n, c in zip(names, codes, strict=True)])
-        fields = fields if fields.itemsize + 3 == length else None
-    return MessageType(name, number, length, codes, names, fields)
+def _set_parts(log: Dataflash, types: Sequence[MessageType], found: Sequence[tuple[int, Places]]) -> None:
+    """Set the parts of each kind in the order of the log, without those whose format does not fit, if others do."""
+    parts: dict[str, list[tuple[MessageType, Places]]] = {}
+    for k, places in sorted(found, key=lambda part: part[0]):
+        parts.setdefault(types[k].name, []).append((types[k], places))
+    for name, mine in parts.items():
+        fitting = [part for part in mine if part[0].fields is not None]
+        if 0 < len(fitting) < len(mine):
+            log.misfits[name] = sum(len(places) for one, places in mine if one.fields is None)
+        parts[name] = fitting or mine[-1:]
+    log._parts = parts
+    log.kinds = {name: _known([one for one, _ in mine]) for name, mine in parts.items()}
 
 
-def _text(value: bytes) -> str:
-    return value.split(b"\0")[0].decode("latin-1")
+def _known(types: Sequence[MessageType]) -> MessageType:
+    return types[0] if len(types) == 1 else in_common(types)
 
 
 def names(values: Sequence[bytes]) -> list[str]:
     """Return a text column as text."""
-    return [_text(value) for value in values]
+    return [text(value) for value in values]
