@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from magyc_gtsam.estimators.model_error.rest import moving
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.starts import from_gyroscope
 from magyc_gtsam.factors.chain import compiled
+from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import chained
 from magyc_gtsam.factors.chain.turning import aligned, turn_rates
 from magyc_gtsam.recording import Recording
@@ -65,6 +67,20 @@ def test_passes_over_samples(
     """The noise by second differences, medians of five, alternations, and the linear start."""
     fast, numpy = both(lambda: compute(recording), monkeypatch)
     np.testing.assert_allclose(fast, numpy, rtol=1e-8)
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+def test_what_an_error_of_the_rate_does(averaged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To windows and links, with samples of both sensors at different times."""
+    log = mg.simulate("wide", duration=60, rate=50, seed=3, delay=0.013).recording
+    samples = preintegrate(replace(log, angular_rate_is="interval-mean") if averaged else log)
+    windows, random = samples.integrate(), np.random.default_rng(1)
+    derivatives = RateDerivatives.of(samples, log.gyroscope.value.T, 0.004)
+    error, direction = random.normal(size=(4, 3, len(log.time))), random.normal(size=(3, len(windows)))
+    soft_iron = np.eye(3) + 0.1 * random.normal(size=(3, 3))
+    fast, numpy = both(lambda: derivatives.columns(windows, soft_iron, direction, error), monkeypatch)
+    for one, other in zip(fast, numpy, strict=True):
+        close(one, other)
 
 
 @pytest.mark.parametrize("height", [1.0, 1e3])

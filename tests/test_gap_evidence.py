@@ -73,7 +73,7 @@ def test_effects_marginalised_after_the_rest_are_marginalised_together() -> None
         assert same.solution()[0] == pytest.approx(one.solution()[0])
         assert same.see(other, np.ones(2)).score == pytest.approx(one.see(other, np.ones(2)).score)
         assert same.left() == pytest.approx(one.left())
-    assert after.signal() == pytest.approx(-soft[2:].T @ after.solution()[0][5:] / noise)
+    assert after.signal == pytest.approx(-soft[2:].T @ after.solution()[0][5:] / noise)
 
 
 def test_a_family_may_be_the_deviation_of_the_signal_that_it_could_explain() -> None:

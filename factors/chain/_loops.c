@@ -11,6 +11,7 @@
 #include "c/moments.h"
 #include "c/motion.h"
 #include "c/products.h"
+#include "c/rate_errors.h"
 #include "c/settling.h"
 #include "c/samples.h"
 #include "c/spline.h"
@@ -286,7 +287,7 @@ static PyMethodDef methods[] = {
     METHOD(angles), METHOD(second_differences), METHOD(higher_differences), METHOD(stand_out), METHOD(alternate),
     METHOD(calm_blocks),
     METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals),
-    METHOD(log_likelihoods), METHOD(look), METHOD(average_samples), {NULL, NULL, 0, NULL},
+    METHOD(log_likelihoods), METHOD(look), METHOD(average_samples), METHOD(rate_errors), {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_loops", NULL, -1, methods, NULL, NULL, NULL, NULL};

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -72,11 +73,29 @@ class RateDerivatives:
             error: (k, 3, G) rad/s per unit, at the gyroscope's samples.
         """
         window, link = np.empty((len(error), 3, len(windows))), np.empty((len(error), 3, len(windows) - 1))
+        if compiled.loops:
+            self._compiled(direction, error, window, link)
+            return RateColumns(np.einsum("ij,pjn->pin", soft_iron, window), link)
         at_once = max(_AT_ONCE // self.turn.shape[-1], 1)
         for first in range(0, len(error), at_once):
             part = slice(first, first + at_once)
             self._onto(direction, error[part], window[part], link[part])
         return RateColumns(np.einsum("ij,pjn->pin", soft_iron, window), link)
+
+    def _compiled(self, direction: Array, error: Array, window: Array, link: Array) -> None:
+        samples = self.samples
+        inputs = (
+            self.turn,
+            samples.step,
+            np.array([0.0, 1.0] if samples.interval_mean else [0.5, 0.5]),
+            self.before,
+            samples.starts,
+            self.share,
+            self.back,
+            direction,
+            error,
+        )
+        compiled.loops.rate_errors(len(self.count), *map(compiled.given, inputs), window, link)
 
     def _onto(self, direction: Array, error: Array, window: Array, link: Array) -> None:
         """Write the effect of errors on the windows (in units of the soft iron) and on the links into `window` and

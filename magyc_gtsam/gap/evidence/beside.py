@@ -8,6 +8,7 @@ noise in its own regressors) is projected in the same way.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,10 +23,17 @@ _RIDGE = 1e-10  # of a parameter's information, added so that undetermined direc
 
 
 class Seen(NamedTuple):
-    """The reach (N, m) of columns into what is marginalised, and their scores (N,) after marginalisation."""
+    """What columns have in common with a marginalised model.
+
+    Attributes:
+        reach: (N, m) of the columns into what is marginalised.
+        score: (N,) after marginalisation.
+        on_signal: (N,) products with what the effects explain together (`Beside.signal`).
+    """
 
     reach: Array
     score: Array
+    on_signal: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,19 +44,20 @@ class Beside:
         noise: ρ.
         before: number of columns that are marginalised before those of effects.
         _parameters: number of those without a prior.
-        _rows, _unit: (m, 3n) columns divided by ρ in units (m,): of 1 / |N| without a prior, of √v with one.
+        _unit: (m,) units of the columns: 1 / |N| without a prior, √v with one.
+        _lower: (m, m) Cholesky factor L of H in these units.
+        _white: (m, 3n) L⁻¹ N / ρ, the columns in these units.
         _residual: (3n,) r / ρ.
-        _lower: (m, m) Cholesky factor of H in these units.
         _inner, _solved: (m,) L⁻¹ N r / ρ², without and with the score bias.
     """
 
     noise: float
     before: int
     _parameters: int
-    _rows: Array
     _unit: Array
-    _residual: Array
     _lower: Array
+    _white: Array
+    _residual: Array
     _inner: Array
     _solved: Array
 
@@ -62,10 +71,10 @@ class Beside:
         rows = np.concatenate([flat, soft]) * (unit / noise)[:, None]
         prior = np.concatenate([np.full(len(flat), _RIDGE / noise**2), np.ones(len(soft))])
         lower = cholesky(rows @ rows.T + np.diag(prior), lower=True, check_finite=False)
-        own = rows @ residual / noise
-        inner = solve_triangular(lower, own, lower=True)
-        solved = solve_triangular(lower, own - score_bias * unit / noise**2, lower=True)
-        return cls(noise, len(rows), len(flat), rows, unit, residual / noise, lower, inner, solved)
+        white = solve_triangular(lower, rows, lower=True, check_finite=False)
+        inner = white @ residual / noise
+        solved = inner - solve_triangular(lower, score_bias * unit / noise**2, lower=True)
+        return cls(noise, len(rows), len(flat), unit, lower, white, residual / noise, inner, solved)
 
     @classmethod
     def of_varying(
@@ -85,18 +94,17 @@ class Beside:
         """Marginalise the columns (k, 3n) of effects, with variances (k,) and score bias (k,), too."""
         unit = np.sqrt(variance)
         rows = columns * (unit / self.noise)[:, None]
-        reach = solve_triangular(self._lower, self._rows @ rows.T, lower=True).T
+        reach = rows @ self._white.T
         lower = cholesky(rows @ rows.T + np.eye(len(rows)) - reach @ reach.T, lower=True, check_finite=False)
-        own = rows @ self._residual
-        inner = solve_triangular(lower, own - reach @ self._inner, lower=True)
-        own = own - score_bias * unit / self.noise**2
+        white = solve_triangular(lower, rows - reach @ self._white, lower=True, check_finite=False)
+        own = rows @ self._residual - score_bias * unit / self.noise**2
         solved = solve_triangular(lower, own - reach @ self._solved, lower=True)
         return replace(
             self,
-            _rows=np.concatenate([self._rows, rows]),
             _unit=np.concatenate([self._unit, unit]),
             _lower=np.block([[self._lower, np.zeros(reach.T.shape)], [reach, lower]]),
-            _inner=np.concatenate([self._inner, inner]),
+            _white=np.concatenate([self._white, white]),
+            _inner=np.concatenate([self._inner, white @ self._residual]),
             _solved=np.concatenate([self._solved, solved]),
         )
 
@@ -105,9 +113,9 @@ class Beside:
         m = self.before
         return replace(
             self,
-            _rows=self._rows[:m],
             _unit=self._unit[:m],
             _lower=self._lower[:m, :m],
+            _white=self._white[:m],
             _inner=self._inner[:m],
             _solved=self._solved[:m],
         )
@@ -129,19 +137,23 @@ class Beside:
 
     def left(self) -> Array:
         """Return the innovations (3n,) less the mean of what is marginalised, in units of the noise."""
-        result: Array = self._residual - self._rows.T @ solve_triangular(
-            self._lower, self._solved, lower=True, trans=1
-        )
+        result: Array = self._residual - self._solved @ self._white
         return result
 
     def see(self, columns: Array, score_bias: Array) -> Seen:
-        """Return reach and score of columns (N, 3n) with score bias (N,)."""
-        reach = solve_triangular(self._lower, self._rows @ columns.T / self.noise, lower=True).T
-        own = columns @ (self._residual / self.noise) - score_bias / self.noise**2
-        return Seen(reach, own - reach @ self._solved)
+        """Return what columns (N, 3n) with score bias (N,) have in common with the model."""
+        products = columns @ self._others.T
+        reach, own, on_signal = products[:, :-2], products[:, -2], products[:, -1]
+        return Seen(reach, own - score_bias / self.noise**2 - reach @ self._solved, on_signal)
 
+    @cached_property
+    def _others(self) -> Array:
+        """(m + 2, 3n) what `see` multiplies columns with, at once because the columns are many."""
+        return np.vstack([self._white, self._residual, self.signal]) / self.noise
+
+    @cached_property
     def signal(self) -> Array:
-        """Return what the effects explain together (3n,), in units of the noise."""
+        """(3n,) what the effects explain together, in units of the noise."""
         value = solve_triangular(self._lower, self._solved, lower=True, trans=1)
-        result: Array = value[self.before :] @ self._rows[self.before :]
+        result: Array = value[self.before :] @ self._lower[self.before :] @ self._white
         return result

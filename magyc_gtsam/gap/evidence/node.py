@@ -163,7 +163,7 @@ class Node:
         columns = self.variation.components[-self.variation.colour_columns :] / self.variation.noise
         last = self.beside.before
         value = self.beside.solution()[0][last - len(columns) : last]
-        own, signal = value @ columns, columns @ self.beside.signal()
+        own, signal = value @ columns, columns @ self.beside.signal
         information = columns @ columns.T + np.eye(len(columns))
         return float(own @ own), float(signal @ np.linalg.solve(information, signal))
 

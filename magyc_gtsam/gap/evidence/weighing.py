@@ -114,7 +114,7 @@ def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[st
     if not candidates.batches:
         return {}
     seen = beside.see(candidates.columns, candidates.score_bias)
-    shared = _Shared.of(candidates, beside, seen)
+    shared = _Shared.of(beside, seen)
     parts: dict[str, list[_Part]] = {}
     for batch in candidates.batches:
         information, score = information_of(batch, beside.noise, seen.reach), seen.score[batch.rows]
@@ -139,10 +139,10 @@ class _Shared(NamedTuple):
     across: Array
 
     @classmethod
-    def of(cls, candidates: Candidates, beside: Beside, seen: Seen) -> _Shared:
-        signal, reach = beside.signal(), seen.reach[:, : beside.before]
-        own = beside.see(signal[None] * beside.noise, np.zeros(1)).reach[0, : beside.before]
-        return cls(reach, candidates.columns @ signal / beside.noise - reach @ own)
+    def of(cls, beside: Beside, seen: Seen) -> _Shared:
+        reach = seen.reach[:, : beside.before]
+        own = beside.see(beside.signal[None] * beside.noise, np.zeros(1)).reach[0, : beside.before]
+        return cls(reach, seen.on_signal - reach @ own)
 
     def contained(self, batch: Batch, noise: float) -> Array:
         """Return the power (B,) of the part of the signal that each candidate could explain."""
