@@ -51,7 +51,7 @@ class Calibration:
         field_strength: T, strength of the calibrated field; measured unless it was given.
         observability: which parameters the motion determined; None if unknown.
         diagnostics: numbers specific to the method (cost, iterations, weights, …), JSON types only.
-        configuration: the options of the run, enough to repeat it.
+        configuration: the options of the run, which `calibrate` takes back, and what describes its recording.
     """
 
     soft_iron: Array
@@ -118,9 +118,7 @@ class Calibration:
 
     def corrected(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
         """Return the result of `apply` without its warnings, for callers that judge or show the strength."""
-        held, _ = on_recording(self, magnetic_field)
-        field: Array = held._corrected(magnetic_field, signals)
-        return field
+        return cast(Array, on_recording(self, magnetic_field)[0]._corrected(magnetic_field, signals))
 
     def _corrected(self, magnetic_field: ArrayLike | Recording, signals: dict[str, Any]) -> Array:
         """Return the calibrated field with all terms, whichever recording they were found in."""
@@ -167,8 +165,7 @@ class Calibration:
     @property
     def recording(self) -> Recording | None:
         """The recording that was calibrated; None after loading, pickling or `dataclasses.replace`."""
-        recording: Recording | None = self.__dict__.get("_recording")
-        return recording
+        return cast("Recording | None", self.__dict__.get("_recording"))
 
     def made_from(self, recording: Recording) -> Calibration:
         """Store the recording for `plot` and `report`, and return this calibration."""
@@ -196,8 +193,7 @@ class Calibration:
         Raises:
             MagycError: no recording is known, a name with another suffix, or the file cannot be written.
         """
-        written: Path = _notebook().report(self, path, recording)
-        return written
+        return cast(Path, _notebook().report(self, path, recording))
 
     @property
     def fitted_to(self) -> tuple[str, ...]:
@@ -211,8 +207,7 @@ class Calibration:
         return f"Calibration({self.method!r}, {state}, hard iron ({iron}) {unit})"
 
     def _repr_html_(self) -> str:
-        text: str = _notebook().html_of(self)
-        return text
+        return cast(str, _notebook().html_of(self))
 
     @property
     def magnetic_field_unit(self) -> str:

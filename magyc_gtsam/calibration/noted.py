@@ -7,8 +7,12 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 from magyc_gtsam.calibration.calibration import Calibration
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES
+
+_OF_THE_RECORDING = ("gyroscope_axes", "magnetic_field_unit", "autopilot", "compass")  # entries of a configuration
 
 
 def noted(calibration: Calibration, **diagnostics: Any) -> Calibration:
@@ -33,12 +37,44 @@ def with_clock_drift(calibration: Calibration, drift: float) -> Calibration:
     return _with(calibration, "configuration", {"clock_drift": drift}) if drift else calibration
 
 
-def as_mounted(calibration: Calibration, log: Mounted) -> Calibration:
-    """Return the calibration with the axes and the autopilot of its log in its configuration, for `export`."""
-    known: dict[str, Any] = {} if log.gyroscope_axes == OWN_AXES else {"gyroscope_axes": log.gyroscope_axes}
+def as_mounted(calibration: Calibration, log: Mounted, compass: int | None = None) -> Calibration:
+    """Return the calibration with what `export` must know of its log in its configuration.
+
+    Args:
+        calibration: of the log.
+        log: with its axes and autopilot.
+        compass: number of the magnetometer among those of its log, if it was given.
+    """
+    known: dict[str, Any] = {} if compass is None else {"compass": compass}
+    known |= {} if log.gyroscope_axes == OWN_AXES else {"gyroscope_axes": log.gyroscope_axes}
     if log.autopilot is not None:
         known["autopilot"] = log.autopilot.to_dict()
     return _with(calibration, "configuration", known) if known else calibration
+
+
+def options_among(configuration: Mapping[str, Any], recording: Recording | None = None) -> dict[str, Any]:
+    """Return the options of `calibrate` among the entries of a configuration; the others describe its recording.
+
+    Args:
+        configuration: of a calibration, or options of `calibrate`.
+        recording: that is calibrated with them; None if it is not known.
+
+    Raises:
+        MagycError: the recording has other axes or another unit, or the compass is not numbered from 1.
+    """
+    compass = configuration.get("compass", 1)
+    if isinstance(compass, bool) or not isinstance(compass, int) or compass < 1:
+        raise MagycError(f"compass: must be a number from 1 on, got {compass!r:.40}")
+    for name, option in (("gyroscope_axes", "gyroscope_axes"), ("magnetic_field_unit", "magnetic_unit")):
+        here = given = configuration.get(name)
+        if recording is not None and given is not None:
+            here = getattr(recording, name)
+        if here != given:
+            raise MagycError(
+                f"{name}: the recording has {here!r:.60}, and the options are of one with {given!r:.60}; it is chosen "
+                f"where the log is read (mg.read, {option}=)"
+            )
+    return {name: value for name, value in configuration.items() if name not in _OF_THE_RECORDING}
 
 
 def _with(calibration: Calibration, name: str, more: Mapping[str, Any]) -> Calibration:

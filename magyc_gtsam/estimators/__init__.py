@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.calibration.noted import as_mounted, noted
+from magyc_gtsam.calibration.noted import as_mounted, noted, options_among
 from magyc_gtsam.estimators.gauge import check_field_strength, check_noise, doubt_strength
 from magyc_gtsam.estimators.method import Method, methods_from_outside
 from magyc_gtsam.factors.chain.facts import strength_of
@@ -154,10 +154,12 @@ def calibrate(
         noise: (magnetometer T, gyroscope rad/s) per sample; None lets the method estimate it.
         robust: whether to reject disturbed data; None uses the method's default.
         progress: called with the share done, 0 to 1.
-        options: options of the method.
+        options: options of the method; or those of a calibration, with the entries that describe its recording:
+            `calibrate(recording, calibration.method, **calibration.configuration)` repeats it.
 
     Raises:
-        MagycError: unknown method or option, a stuck sensor, or data that the method cannot use.
+        MagycError: unknown method or option, options of a recording in other axes or another unit, a stuck sensor, or
+            data that the method cannot use.
     """
     keep_freed_memory()
     entry = _entry(method)
@@ -177,7 +179,7 @@ def calibrate(
             "(magnetic_unit=), or take a method that needs the magnetometer alone"
         )
     shared = {"field_strength": field_strength, "noise": noise, "robust": robust}
-    given = {k: v for k, v in shared.items() if v is not None} | options
+    given = {k: v for k, v in shared.items() if v is not None} | options_among(options, recording)
     function = _function(method, entry, given)
     own, earlier = fingerprint(recording), given.get("prior")
     if isinstance(earlier, Mapping):
@@ -195,7 +197,7 @@ def calibrate(
         if not usable.refused:
             raise
         raise MagycError(f"{usable.refused}; {problem}") from None
-    result = as_mounted(noted(result, recordings=[*before, own]), recording)
+    result = as_mounted(noted(result, recordings=[*before, own]), recording, options.get("compass"))
     left_out = usable.left_out
     if left_out:
         message = f"{result.message}; left out: {'; '.join(left_out)}"
@@ -217,7 +219,11 @@ def check_options(method: str = "smoother", **options: Any) -> None:
         MagycError: unknown method or option, or a value that is out of range.
     """
     entry = _entry(method)
-    given = {k: v for k, v in options.items() if v is not None or k not in ("field_strength", "noise", "robust")}
+    given = {
+        k: v
+        for k, v in options_among(options).items()
+        if v is not None or k not in ("field_strength", "noise", "robust")
+    }
     _function(method, entry, given)
     check_field_strength(options.get("field_strength"))
     if entry.options:
