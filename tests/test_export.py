@@ -63,7 +63,12 @@ def px4(
 
 
 def ardupilot(
-    text: str, m: Array, w: Array, current: Array | None = None, outputs: Array | None = None
+    text: str,
+    m: Array,
+    w: Array,
+    current: Array | None = None,
+    outputs: Array | None = None,
+    voltage: float = 14.8,
 ) -> tuple[Array, Array]:
     """AP_Compass_Backend::rotate_field and correct_field, Compass_PerMotor::compensate; milligauss, rad/s."""
     rows = parameters(text, ",", 0, 1)
@@ -78,7 +83,7 @@ def ardupilot(
         field = field + current[:, None] * np.array([rows[f"COMPASS_MOT_{axis}"] for axis in "XYZ"])
     if outputs is not None and rows.get("COMPASS_PMOT_EN"):
         motors = np.array([[rows[f"COMPASS_PMOT{k}_{axis}"] for axis in "XYZ"] for k in range(1, 5)])
-        field = field + outputs ** rows["COMPASS_PMOT_EXP"] @ motors
+        field = field + (outputs * voltage) ** rows["COMPASS_PMOT_EXP"] @ motors
     bias = np.array([rows.get(f"INS_GYROFFS_{axis}", np.nan) for axis in "XYZ"])
     return field * 1e-7, w - bias
 
@@ -328,13 +333,36 @@ def test_ardupilot_compensates_motor_by_motor(moving: tuple[int, ...]) -> None:
     calibration = Calibration(SOFT_IRON, HARD_IRON, terms=(MOUNTING, term))
     channels = {f"motor_{k + 1}": outputs[:, k] for k in range(4)}
     expected = calibration.apply(FIELD, time=np.arange(40.0), channels=channels)
-    field, _ = ardupilot(calibration.export("ardupilot", per_motor=True), FIELD, RATE, outputs=outputs)
+    by_voltage = calibration.export("ardupilot", per_motor=True, battery_voltage=14.8)
+    field, _ = ardupilot(by_voltage, FIELD, RATE, outputs=outputs)
     np.testing.assert_allclose(field, expected, atol=2e-11)
     assert "not included: motor-current" in calibration.export("ardupilot")
     assert "not included: motor-current" in calibration.export("px4", per_motor=True)
     five = Term("motor-current", np.ones(15) * 1e-8, np.eye(15))
     with pytest.raises(MagycError, match="compensates for 4 motors"):
-        Calibration(SOFT_IRON, HARD_IRON, terms=(five,)).export("ardupilot", per_motor=True)
+        Calibration(SOFT_IRON, HARD_IRON, terms=(five,)).export("ardupilot", per_motor=True, battery_voltage=12)
+    with pytest.raises(
+        MagycError, match="multiplies a motor's output by the voltage of the battery, which is needed"
+    ):
+        calibration.export("ardupilot", per_motor=True)
+
+
+def test_currents_of_motors_are_not_their_outputs() -> None:
+    """Those of the speed controllers were written as if at full output."""
+    names = tuple(f"ESC[{k}].Curr" for k in range(4))
+    term = Term("motor-current", np.full(12, 1e-7), np.eye(12) * 1e-18, {}, names)
+    with pytest.raises(
+        MagycError, match=r"by the outputs of the motors, 0 to 1, not by their currents \(ESC\[0\]"
+    ):
+        Calibration(SOFT_IRON, HARD_IRON, terms=(term,)).export("ardupilot", per_motor=True, battery_voltage=12)
+    percent = tuple(f"motor_{k}_percent" for k in range(4))
+    full = replace(term, channels=tuple(f"motor_{k}" for k in range(4)))
+    of_percent = replace(term, channels=percent, value=term.value / 100, covariance=term.covariance)
+    first, second = (
+        Calibration(SOFT_IRON, HARD_IRON, terms=(one,)).export("ardupilot", per_motor=True, battery_voltage=12)
+        for one in (full, of_percent)
+    )
+    assert first == second
 
 
 def test_the_one_current_that_moved_has_its_own_reference() -> None:

@@ -155,6 +155,7 @@ def test_what_does_nothing_is_refused(
         (["info", DIVE, "--strip"], "--strip: has no effect without --json"),
         (["online", DIVE, "--picture", "1"], "--picture: has no effect without --json"),
         (["export", "any.yaml", "px4", "--per-motor"], "--per-motor: has no effect without the target ardupilot"),
+        (["export", "any.yaml", "ardupilot", "--battery-voltage", "12"], "--battery-voltage: has no effect without"),
     ):
         assert main(list(map(str, words))) == 2
         assert says in capsys.readouterr().err

@@ -148,9 +148,13 @@ def kinds(name: str) -> tuple[str, ...]:
 
 def stands_in(name: str, kind: str) -> bool:
     """Return whether a channel of this name is none of a kind, but can stand for one."""
-    words = [word for word in CHANNELS[kind] if word != _NO_UNIT]
     instead = INSTEAD.get(kind, ())
-    return (_INSTANCE.sub("", name) in instead or _is_called(name, instead)) and not _is_called(name, words)
+    return (_INSTANCE.sub("", name) in instead or _is_called(name, instead)) and not is_one(name, kind)
+
+
+def is_one(name: str, kind: str) -> bool:
+    """Return whether a channel's name says that it is of a kind: a motor's may be a current or an output."""
+    return _is_called(name, [word for word in CHANNELS[kind] if word != _NO_UNIT])
 
 
 def _is_called(name: str, words: Sequence[str]) -> bool:

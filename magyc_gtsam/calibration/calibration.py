@@ -232,22 +232,23 @@ class Calibration:
         sigma = {"soft_iron": soft_iron, "hard_iron": deviation[6:9]}
         return sigma if self.gyro_bias is None else sigma | {"gyro_bias": deviation[9:]}
 
-    def export(self, target: str, *, force: bool = False, per_motor: bool = False) -> str:
+    def export(
+        self, target: str, *, force: bool = False, per_motor: bool = False, battery_voltage: float | None = None
+    ) -> str:
         """Return the parameters to paste into an autopilot, instrument or driver; see `magyc_gtsam.export`.
 
         They are those at the end of the log: with the jumps of iron and bias that `terms` hold.
 
         Args:
             target: "px4", "ardupilot", "vectornav" or "ros".
-            force: return the values of a result that must not be trusted too, as comments under DO NOT USE and the
-                reason.
-            per_motor: the channels of current are the outputs, 0 to 1, of motors 1 to 4 in the order of their names;
-                ArduPilot compensates for each motor separately.
+            force: return the values of a result that must not be trusted, too, as comments under DO NOT USE.
+            per_motor: the channels of current are the outputs, 0 to 1, of motors 1 to 4 in the order of their names.
+            battery_voltage: V, in the log; ArduPilot multiplies the outputs by it, so that `per_motor` needs it.
 
         Raises:
             MagycError: the result must not be trusted (without `force`), or the target cannot represent it.
         """
-        return exported(self, target, force, per_motor)
+        return exported(self, target, force, per_motor, battery_voltage)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_dict, (self.to_dict(),)

@@ -30,6 +30,12 @@ def run(
             "--per-motor", help="The current channels are the outputs, 0 to 1, of motors 1 to 4 (ArduPilot)."
         ),
     ] = False,
+    battery_voltage: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, metavar="V", help="Of the battery in the log, by which ArduPilot multiplies the outputs."
+        ),
+    ] = None,
     write: Annotated[
         str | None,
         typer.Option(
@@ -46,13 +52,15 @@ def run(
     """
     if per_motor and target != "ardupilot":
         raise given.without_effect("--per-motor", "the target ardupilot")
+    if battery_voltage is not None and not per_motor:
+        raise given.without_effect("--battery-voltage", "--per-motor")
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.report.verdict import judged
 
     calibration = Calibration.load(calibration_file)
     if not calibration.trusted and (write is not None or not force):
         return refused(calibration)
-    text = exported(calibration, target, force=force, per_motor=per_motor)
+    text = exported(calibration, target, force=force, per_motor=per_motor, battery_voltage=battery_voltage)
     if write is not None:
         return _write(text, target, write)
     if output is None:

@@ -77,7 +77,7 @@ def write_page(folder: Path, recording: Recording, calibration: Calibration, ver
     write_report(folder / "report.html", recording, calibration, residuals, verdict)
 
 
-def exported(calibration: Calibration, target: str, **options: bool) -> str:
+def exported(calibration: Calibration, target: str, **options: Any) -> str:
     """Return parameters as `Calibration.export`, with options of the command line under DO NOT USE.
 
     Raises:

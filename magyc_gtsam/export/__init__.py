@@ -48,6 +48,7 @@ def export(
     terms: Sequence[Term] = (),
     *,
     per_motor: bool = False,
+    battery_voltage: float | None = None,
     compass: int = 1,
     gyroscope_axes: str = OWN_AXES,
     autopilot: Autopilot | None = None,
@@ -62,6 +63,7 @@ def export(
         terms: other effects of the calibration. Jumps of iron and bias that last are in the values, which are those
             after them; a comment says so, and lists the terms that the target cannot represent.
         per_motor: the channels of current are outputs of motors, each with separate compensation (ArduPilot).
+        battery_voltage: V, while the effect of the motors was found; needed with `per_motor`.
         compass: number of the compass on the vehicle, from 1, for targets with several, without `autopilot`.
         gyroscope_axes: `Recording.gyroscope_axes`; the gyroscope's values are turned back into its own axes.
         autopilot: `Recording.autopilot`; the parameters are those of its sensors, in the axes of its firmware.
@@ -85,7 +87,9 @@ def export(
         after.gyro_bias,
         parse_axes(gyroscope_axes),
     )
-    correction, missing = with_terms(bare, after.terms, target, per_motor, _of_target(autopilot, target))
+    correction, missing = with_terms(
+        bare, after.terms, target, per_motor, battery_voltage, _of_target(autopilot, target)
+    )
     placed, left_out = in_places(correction, *places)
     lines = numbered(TARGETS[target](placed), target, *places)
     lines += cleared(lines, target, places[0], autopilot)
@@ -133,7 +137,9 @@ def _each(names: Sequence[str]) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def exported(calibration: Any, target: str, force: bool, per_motor: bool) -> str:
+def exported(
+    calibration: Any, target: str, force: bool, per_motor: bool, battery_voltage: float | None = None
+) -> str:
     """Return the text for a `Calibration`; `Calibration.export` describes it."""
     if not calibration.trusted:
         reason = calibration.message or "not observable"
@@ -143,7 +149,7 @@ def exported(calibration: Any, target: str, force: bool, per_motor: bool) -> str
                 "record again, or see the values as comments (force=True)"
             )
         trusted = replace(calibration, converged=True, observability=None)
-        return do_not_use(reason, exported(trusted, target, False, per_motor))
+        return do_not_use(reason, exported(trusted, target, False, per_motor, battery_voltage))
     if calibration.magnetic_field_unit == "counts":
         raise MagycError("a calibration in raw counts cannot be exported; calibrate in tesla")
     known = calibration.configuration.get("autopilot")
@@ -154,6 +160,7 @@ def exported(calibration: Any, target: str, force: bool, per_motor: bool) -> str
         calibration.gyro_bias,
         calibration.terms,
         per_motor=per_motor,
+        battery_voltage=battery_voltage,
         compass=calibration.configuration.get("compass", 1),
         gyroscope_axes=calibration.configuration.get("gyroscope_axes", OWN_AXES),
         autopilot=None if known is None else Autopilot.from_dict(known),

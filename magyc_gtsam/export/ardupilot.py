@@ -3,12 +3,11 @@
 The power is the throttle, 0 to 1, of Copter and Sub (COMPASS_MOTCT 1), or the current of battery 1 in A (2), by
 AP_Compass_Backend::correct_field.
 
-With compensation per motor the last term is Σ output · PMOT over four motors.
+With compensation per motor the last term is Σ (output · voltage)^EXP · PMOT over four motors of Copter, by
+Compass_PerMotor::scaled_output: the outputs are 0 to 1, the voltage is the battery's.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -22,8 +21,11 @@ from magyc_gtsam.export.correction import (
     number,
     symmetric,
 )
-from magyc_gtsam.export.power import CURRENT
+from magyc_gtsam.export.power import CURRENT, THROTTLE, unit_of
+from magyc_gtsam.factors.effects.signals import is_one
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import listed
 
 MOTORS = 4  # number of motors with separate compensation
 _MILLIGAUSS = 1e7  # per tesla
@@ -78,8 +80,8 @@ def ardupilot(c: Correction) -> list[str]:
         for k, motor in enumerate(c.motors, start=1):
             values |= axes(f"COMPASS_PMOT{k}_{{}}", -to_field @ motor * _MILLIGAUSS)
         notes += [
-            "COMPASS_PMOT: milligauss at full output of motors 1 to 4, ADDED after the matrix, for the first",
-            "compass. It is for channels that were the motors' outputs, 0 to 1, in the order of their names.",
+            "COMPASS_PMOT: milligauss per volt of the battery at full output of motors 1 to 4, ADDED after the",
+            "matrix, for the first compass of a Copter. ArduPilot multiplies it by output and voltage.",
         ]
     if c.gyro_bias is not None:
         values |= axes("INS_GYROFFS_{}", c.gyro_bias)
@@ -95,17 +97,28 @@ def ardupilot(c: Correction) -> list[str]:
     ]
 
 
-def motors_of(value: Array, setting: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return the effect (4, 3) T of motors 1 to 4 at full output, and that (3,) T of all at their reference outputs.
+def motors_of(term: Term, voltage: float | None) -> tuple[Array, Array]:
+    """Return the effect (4, 3) T/V of motors 1 to 4 at full output, and that (3,) T of all at their reference outputs.
 
     Args:
-        value: of a motor-current term with several channels, three numbers per channel.
-        setting: the reference output of each channel, by a name that ends in its number.
+        term: a motor-current with the motors' outputs as its channels.
+        voltage: V, of the battery while the effect was found.
 
     Raises:
-        MagycError: a channel beyond the fourth.
+        MagycError: the voltage is not known, a channel is a current, or there is one beyond the fourth.
     """
-    references = {int(name.rpartition("_")[2]): output for name, output in setting.items()}
+    if voltage is None or not 0 < voltage < np.inf:
+        raise MagycError(
+            "per motor: ArduPilot multiplies a motor's output by the voltage of the battery, which is needed "
+            f"(--battery-voltage, battery_voltage=), in V; got {voltage}"
+        )
+    if currents := [name for name in term.channels if is_one(name, "current")]:
+        raise MagycError(
+            f"per motor: ArduPilot corrects a compass by the outputs of the motors, 0 to 1, not by their currents "
+            f"({listed(currents)}); find the effect with the outputs as channels, or with the battery's current alone"
+        )
+    value = term.value
+    references = {int(name.rpartition("_")[2]): output for name, output in term.setting.items() if name != "lag"}
     rows = sorted(references) or list(range(len(value) // 3))
     if rows[-1] >= MOTORS:
         raise MagycError(
@@ -114,4 +127,7 @@ def motors_of(value: Array, setting: Mapping[str, float]) -> tuple[Array, Array]
         )
     motors = np.zeros((MOTORS, 3))
     motors[rows] = value.reshape(-1, 3)
-    return motors, np.array([references.get(row, 0.0) for row in range(MOTORS)]) @ motors
+    at_rest = np.array([references.get(row, 0.0) for row in range(MOTORS)]) @ motors
+    for row, name in enumerate(term.channels[:MOTORS]):
+        motors[row] *= unit_of(name, THROTTLE)
+    return motors / voltage, at_rest

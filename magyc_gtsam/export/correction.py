@@ -34,7 +34,7 @@ class Correction:
         power: what the current or throttle of `motor` is.
         thermal: (3,) T/°C, or None.
         reference: °C.
-        motors: (4, 3) T, subtracted in proportion to the output of each motor; or None.
+        motors: (4, 3) T/V, subtracted in proportion to the output of each motor and the battery's voltage; or None.
         warming_gyro: (3,) rad/s/°C, change of the angular rate with the temperature above `gyro_reference`; or None.
         gyro_reference: °C.
     """

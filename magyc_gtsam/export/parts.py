@@ -21,7 +21,12 @@ _ROTATIONS = ("misalignment", "axis-order")  # terms that turn the field to the 
 
 
 def with_terms(
-    bare: Correction, terms: Sequence[Term], target: str, per_motor: bool, autopilot: Autopilot | None = None
+    bare: Correction,
+    terms: Sequence[Term],
+    target: str,
+    per_motor: bool,
+    voltage: float | None = None,
+    autopilot: Autopilot | None = None,
 ) -> tuple[Correction, list[str]]:
     """Return a correction with each term in the parameter that a target has for it, and the names of the others.
 
@@ -31,7 +36,11 @@ def with_terms(
         terms: of the calibration.
         target: "px4", "ardupilot", "vectornav" or "ros".
         per_motor: the channels of current are outputs of motors, each with separate compensation.
+        voltage: V, of the battery, for compensation per motor.
         autopilot: of the log, if it is the target's.
+
+    Raises:
+        MagycError: the effect of the motors cannot be compensated for each.
     """
     missing: list[str] = []
     found: dict[str, Any] = {}
@@ -44,7 +53,7 @@ def with_terms(
         if exchanged:
             own_axes = term.value.reshape(3, 3) @ own_axes
         if motor and per_motor and "motors" not in found and target == "ardupilot":
-            found["motors"], at_rest = motors_of(term.value, term.setting)
+            found["motors"], at_rest = motors_of(term, voltage)
             offset = offset - at_rest
         elif motor and steady and not per_motor and "motor" not in found:
             power = power_of(term, autopilot)

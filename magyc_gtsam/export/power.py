@@ -32,6 +32,11 @@ class Power(NamedTuple):
     unit: float = 1.0
 
 
+def unit_of(channel: str, kind: int) -> float:
+    """Return the value of a channel at 1 A or full throttle, by its name: 1 if that names no unit."""
+    return next((size for of, size, word in _UNITS if of == kind and word.search(channel)), 1.0)
+
+
 def power_of(term: Term, autopilot: Autopilot | None) -> Power | str:
     """Return what a target multiplies the motor parameters by to correct an effect of one channel, or why it cannot.
 
@@ -45,8 +50,7 @@ def power_of(term: Term, autopilot: Autopilot | None) -> Power | str:
     channel = term.channels[referenced(term.channels, term.setting)[0]]
     if autopilot is None:
         kind = THROTTLE if stands_in(channel, "current") else CURRENT
-        unit = next((size for of, size, word in _UNITS if of == kind and word.search(channel)), 1.0)
-        return Power(kind, shortened(channel), unit)
+        return Power(kind, shortened(channel), unit_of(channel, kind))
     if channel not in autopilot.powers:
         return f"{shortened(channel)} is not what the autopilot corrects a compass by"
     kind, unit = autopilot.powers[channel]
