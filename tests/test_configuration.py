@@ -92,3 +92,49 @@ def test_the_number_of_the_compass_is_kept() -> None:
     for wrong in (0, "2", True):
         with pytest.raises(mg.MagycError, match="compass: must be a number from 1 on"):
             mg.calibrate(SIMULATED, compass=wrong)
+
+
+ANGLE, RATE = np.radians(3.0), 40.0
+TURNED = np.array([[np.cos(ANGLE), -np.sin(ANGLE), 0], [np.sin(ANGLE), np.cos(ANGLE), 0], [0, 0, 1.0]])
+
+
+def inconsistency(field: np.ndarray, rate: np.ndarray) -> float:
+    """The field's change that the rate does not explain, of that change: d/dt u = −ω × u holds in one frame alone."""
+    change = np.diff(field, axis=0) * RATE
+    middle, turn = 0.5 * (field[1:] + field[:-1]), 0.5 * (rate[1:] + rate[:-1])
+    return float(np.linalg.norm(change + np.cross(turn, middle)) / np.linalg.norm(change))
+
+
+@pytest.mark.parametrize("axes", ["x,y,z", "y,z,x", "-y,x,z"])
+@pytest.mark.parametrize("misaligned", [False, True])
+def test_field_and_rate_are_in_one_frame(axes: str, misaligned: bool) -> None:
+    """With other axes of the gyroscope, with chips that are not aligned, and with both."""
+    noise = {"magnetometer_noise": 2e-9, "gyroscope_noise": 2e-4}
+    quiet = mg.simulate("wide", 100, RATE, seed=7, gyro_bias=np.zeros(3), **noise).recording
+    matrix, rotation, bias = parse_axes(axes), TURNED if misaligned else np.eye(3), np.array([0.004, -0.005, 0.002])
+    true = quiet.angular_rate @ rotation
+    delivered = replace(quiet, attitude=None, angular_rate=(true + bias) @ matrix)
+    recording = with_turned_gyroscope(delivered, matrix)
+    calibration = mg.calibrate(recording, delay=0.0, misalignment=0.05)
+    field, rate = calibration.apply(recording), calibration.apply_gyroscope(recording)
+    assert inconsistency(field, rate) < 0.02
+    assert inconsistency(field, calibration.apply_gyroscope(recording.angular_rate)) < 0.02  # arrays are in these axes
+    if axes != "x,y,z":
+        assert inconsistency(field, calibration.apply_gyroscope(delivered.angular_rate)) > 0.5
+    assert np.abs(rate - true).max() < 2e-3  # in the frame of the gyroscope, not in the magnetometer's
+    assert (inconsistency(replace(calibration, terms=()).apply(recording), rate) > 0.03) == misaligned
+
+
+def test_a_recording_in_other_axes_is_refused() -> None:
+    rolled = replace(SIMULATED, attitude=None, angular_rate=SIMULATED.angular_rate[:, [2, 0, 1]])
+    recording = with_turned_gyroscope(rolled, parse_axes("y,z,x"))
+    calibration = mg.calibrate(recording)
+    with pytest.raises(mg.MagycError, match=r"axes y,z,x, and the log is read with x,y,z: read it in these axes"):
+        calibration.apply_gyroscope(rolled)
+    with pytest.raises(mg.MagycError, match="leave out gyroscope_axes="):
+        mg.calibrate(SIMULATED).apply_gyroscope(recording)
+    calibration.apply(rolled)  # of the field nothing is in the gyroscope's axes
+    skewed = replace(mg.calibrate(recording, misalignment=0.02))
+    assert skewed.terms
+    with pytest.raises(mg.MagycError, match="the log is read with x,y,z"):
+        skewed.apply(rolled)

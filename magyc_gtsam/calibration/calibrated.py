@@ -9,30 +9,12 @@ import numpy as np
 
 from magyc_gtsam.calibration.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import TermWarning
-from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.recording.held import with_equal_samples
 
 # Standard deviation of the calibrated strength, relative to it: another unit's calibration gives a quarter, real logs
 # with their own up to 7 %.
 _UNEVEN = 0.12
-
-
-def check_gyroscope_axes(calibration: Calibration, recording: Recording) -> None:
-    """Raise a MagycError if the gyroscope of a recording is in other axes than that of the calibration.
-
-    Bias and terms of the gyroscope would be taken from the wrong axes.
-    """
-    own, read = calibration.configuration.get("gyroscope_axes", OWN_AXES), recording.gyroscope_axes
-    if calibration.gyro_bias is not None and recording.angular_rate is not None and own != read:
-        remedy = (
-            "leave out gyroscope_axes=" if own == OWN_AXES else f"read it in these axes (gyroscope_axes='{own}')"
-        )
-        raise MagycError(
-            f"gyroscope axes: the calibration was made with the gyroscope's axes {own}, and the log is read with "
-            f"{read}: {remedy}"
-        )
 
 
 def lag_of(calibration: Calibration) -> float:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.calibration.elsewhere import on_recording, warn_of
 from magyc_gtsam.calibration.limits import checked, warn_if_implausible
 from magyc_gtsam.calibration.serialization import as_mapping, as_text, constructor_arguments
-from magyc_gtsam.calibration.signals import as_signals, check_field_units, given_signals, vectors
+from magyc_gtsam.calibration.signals import as_signals, check_axes, check_field_units, given_signals, vectors
 from magyc_gtsam.export import exported
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate
 from magyc_gtsam.factors.effects.term import Term
@@ -102,7 +102,8 @@ class Calibration:
 
         Raises:
             MagycError: wrong shape or lengths, a recording in another unit than the calibration (counts, tesla), or
-                a term needs a signal that is missing, or the rows before a single one.
+                with `terms` its gyroscope in other axes, or a term needs a signal that is missing, or the rows before
+                a single one.
 
         Warns:
             UserWarning: the median strength of the result is outside 8 to 175 µT; or a recording is not the one in
@@ -129,6 +130,7 @@ class Calibration:
         at = as_signals("magnetic_field", len(rows), given, self.terms)
         if not self.terms:
             return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
+        check_axes(magnetic_field, self.configuration)
         if at.rate is not None and self.gyro_bias is not None:
             at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
         return corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at).T.reshape(m.shape)
@@ -137,21 +139,23 @@ class Calibration:
         """Return the calibrated angular rate w − gyro_bias, without the effects in `terms`.
 
         Args:
-            angular_rate: (N, 3) or (3,) rad/s, or a whole recording.
+            angular_rate: (N, 3) or (3,) rad/s in the axes of the recording that was calibrated, which with
+                `gyroscope_axes` are not those in which the sensor delivers it; or a whole recording.
             signals: as in `apply`.
 
         Returns:
-            (N, 3) or (3,) rad/s, as the input.
+            (N, 3) or (3,) rad/s, as the input, in the axes of the field that `apply` returns.
 
         Raises:
-            MagycError: the method estimates no gyroscope bias, wrong shape or lengths, or a term needs a signal that
-                is missing, or the rows before a single one.
+            MagycError: the method estimates no gyroscope bias, a recording in other gyroscope axes, wrong shape or
+                lengths, or a term needs a signal that is missing, or the rows before a single one.
 
         Warns:
             UserWarning: as `apply`, of terms.
         """
         if self.gyro_bias is None:
             raise MagycError(f"method {self.method!r} does not estimate a gyroscope bias; choose one that does")
+        check_axes(angular_rate, self.configuration)
         held, notes = on_recording(self, angular_rate)
         warn_of(notes)
         given = given_signals(angular_rate, "angular_rate", signals)

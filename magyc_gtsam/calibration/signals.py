@@ -14,6 +14,7 @@ from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import real_array
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.recording.checks import columns_of, frozen, named_channels
 from magyc_gtsam.recording.pauses import filled
 from magyc_gtsam.recording.stamps import origin_of, seconds
@@ -43,6 +44,21 @@ def check_field_units(recording: ArrayLike | Recording, unit: str) -> None:
             f"magnetic_field: must be in {unit}, the unit of the calibration, got a recording in "
             f"{recording.magnetic_field_unit}; read the log in that unit (magnetic_unit=), or calibrate it anew"
         )
+
+
+def check_axes(recording: ArrayLike | Recording, configuration: Mapping[str, Any]) -> None:
+    """Raise a MagycError if the gyroscope of a recording is in other axes than that of a calibration.
+
+    Bias and terms of the gyroscope would be taken from the wrong axes.
+    """
+    own = configuration.get("gyroscope_axes", OWN_AXES)
+    if not isinstance(recording, Recording) or recording.angular_rate is None or recording.gyroscope_axes == own:
+        return
+    remedy = "leave out gyroscope_axes=" if own == OWN_AXES else f"read it in these axes (gyroscope_axes='{own}')"
+    raise MagycError(
+        f"gyroscope axes: the calibration was made with the gyroscope's axes {own}, and the log is read with "
+        f"{recording.gyroscope_axes}: {remedy}"
+    )
 
 
 def as_signals(name: str, rows: int, given: Mapping[str, Any], terms: Sequence[Term]) -> Signals:

@@ -52,7 +52,7 @@ def run(
     marked as calibrated: `apply` and `history` refuse it as a LOG, other commands read it and note the mark.
     """
     from magyc_gtsam.calibration import Calibration
-    from magyc_gtsam.calibration.calibrated import calibrated, check_gyroscope_axes, lag_of, uneven, without_lag
+    from magyc_gtsam.calibration.calibrated import calibrated, lag_of, uneven, without_lag
     from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.recording.applied import as_calibrated, is_calibrated
@@ -74,7 +74,6 @@ def run(
                 f"{reading.log}: the field is calibrated already (magyc-gtsam apply wrote it); apply the calibration "
                 "to the log as it was recorded"
             )
-        check_gyroscope_axes(calibration, recording)
         calibration, notes = on_recording(calibration, recording)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
