@@ -37,7 +37,7 @@ def flown(
     names = [f"COMPASS_{part}_{axis}" for part in ("OFS", "DIA", "ODI") for axis in "XYZ"]
     parameters = dict.fromkeys(names, 0.0) | {"COMPASS_SCALE": 0.0, "COMPASS_PMOT_EN": 0.0} | MOTORS_IN_FLIGHT
     messages: list[tuple[str, tuple]] = [("PARM", (0, name, float(value))) for name, value in parameters.items()]
-    milligauss = np.rint(raw * 1e7).astype(int)
+    milligauss = np.trunc(raw * 1e7).astype(int)
     for row, t in enumerate(TIME):
         at = 1_000_000 + round(t * 1e6)
         messages.append(("MAG", (at, 0, *milligauss[row], 0, 0, 0, 0, 0, 0, 1, at)))

@@ -32,19 +32,24 @@ ONE_SET = np.zeros(40, dtype=np.int64)
 WHOLE = np.tile(np.trunc(OFFSET), (40, 1))
 
 
+def middle(whole: np.ndarray) -> np.ndarray:
+    """Of what is logged as a whole number, truncated."""
+    return np.asarray(whole + 0.5 * np.sign(whole))
+
+
 def correct(raw: np.ndarray, scale: float = 1.25) -> np.ndarray:
     """AP_Compass_Backend::correct_field, one sample after the other."""
     return np.array([MATRIX @ ((m + OFFSET) * scale) + k for m, k in zip(raw, MOTOR, strict=True)])
 
 
 def test_undone_is_raw() -> None:
-    raw, notes = undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [PARAMETERS], 0)
+    raw, _, notes = undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [PARAMETERS], 0)
     np.testing.assert_allclose(raw, RAW, atol=1e-9)
     assert any("COMPASS_SCALE 1.2500" in n and "motor correction" in n for n in notes)
 
 
 def test_scale_that_ardupilot_ignores() -> None:
-    raw, _ = undo(correct(RAW, 1.0), WHOLE, MOTOR, ONE_SET, [PARAMETERS | {"COMPASS_SCALE": 1.7}], 0)
+    raw, _, _ = undo(correct(RAW, 1.0), WHOLE, MOTOR, ONE_SET, [PARAMETERS | {"COMPASS_SCALE": 1.7}], 0)
     np.testing.assert_allclose(raw, RAW, atol=1e-9)
 
 
@@ -59,7 +64,7 @@ def test_priority_is_not_the_drivers_number() -> None:
         "COMPASS_DEV_ID": 5,
         "COMPASS_DEV_ID3": 9,
     }
-    raw, _ = undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [renamed], 0)
+    raw, _, _ = undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [renamed], 0)
     np.testing.assert_allclose(raw, RAW, atol=1e-9)
 
 
@@ -68,11 +73,11 @@ def test_offsets_learned_in_flight_and_parameters_that_change() -> None:
     logged = correct(RAW)
     logged[20:] += MATRIX @ (1.25 * (learned - OFFSET))
     cut = np.vstack([WHOLE[:20], np.tile(np.trunc(learned), (20, 1))])
-    raw, notes = undo(logged, cut, MOTOR, ONE_SET, [PARAMETERS], 0)
+    raw, _, notes = undo(logged, cut, MOTOR, ONE_SET, [PARAMETERS], 0)
     np.testing.assert_allclose(raw, RAW, atol=1.0)
     assert any("20 offsets differ from the parameters" in n for n in notes)
     later = PARAMETERS | {f"COMPASS_OFS_{a}": learned[k] for k, a in enumerate("XYZ")}
-    raw, _ = undo(logged, cut, MOTOR, np.repeat([0, 1], 20), [PARAMETERS, later], 0)
+    raw, _, _ = undo(logged, cut, MOTOR, np.repeat([0, 1], 20), [PARAMETERS, later], 0)
     np.testing.assert_allclose(raw, RAW, atol=1e-9)
 
 
@@ -81,7 +86,7 @@ def test_old_firmware() -> None:
     with pytest.raises(MagycError, match="an order that depends on the firmware's version"):
         undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [old], 0)
     logged = np.array([MATRIX @ (m + OFFSET) for m in RAW])
-    raw, _ = undo(logged, WHOLE, np.zeros((40, 3)), ONE_SET, [old], 0)
+    raw, _, _ = undo(logged, WHOLE, np.zeros((40, 3)), ONE_SET, [old], 0)
     np.testing.assert_allclose(raw, RAW, atol=1e-9)
     with pytest.raises(MagycError, match=r"no COMPASS_\* parameters"):
         undo(logged, WHOLE, MOTOR, ONE_SET, [{}], 0)
@@ -100,7 +105,11 @@ def test_offsets_learned_in_flight_are_truncated() -> None:
     parameters = PARAMETERS | {f"COMPASS_OFS_{a}": 0.0 for a in "XYZ"} | {"COMPASS_SCALE": 1.0}
     logged = (RAW + learned) @ MATRIX.T
     whole = np.tile(np.trunc(learned), (40, 1))
-    raw, notes = undo(logged, whole, np.zeros((40, 3)), ONE_SET, [parameters], 0)
+    raw, sigma, notes = undo(logged, whole, np.zeros((40, 3)), ONE_SET, [parameters], 0)
+    np.testing.assert_allclose(sigma, [0.5 / np.sqrt(3)] * 3)
+    whole[20:, 0] += 3  # two numbers, each of half of the samples
+    _, sigma, _ = undo(logged, whole, np.zeros((40, 3)), ONE_SET, [parameters], 0)
+    np.testing.assert_allclose(sigma, np.array([np.sqrt(0.5), 1, 1]) * 0.5 / np.sqrt(3))
     np.testing.assert_allclose(raw - RAW, np.tile(learned - [-80.5, 200.5, 0.0], (40, 1)), atol=1e-9)
     assert any("learned in flight" in note for note in notes)
 
@@ -121,7 +130,8 @@ def test_rov(shared_data: Path) -> None:
     first = max(messages["MAG"][0].TimeUS, messages["IMU"][0].TimeUS)
     logged = {m.TimeUS - first: [m.MagX, m.MagY, m.MagZ] for m in messages["MAG"]}
     again = back.magnetometer.value / 1e-7 + offset  # DIA is 1, ODI 0, SCALE and motors off
-    np.testing.assert_allclose(again, [logged[round(t * 1e6)] for t in back.magnetometer.time], atol=1e-6)
+    whole = np.array([logged[round(t * 1e6)] for t in back.magnetometer.time])
+    np.testing.assert_allclose(again, middle(whole), atol=1e-6)
     rates = {m.TimeUS - first: [m.GyrX, m.GyrY, m.GyrZ] for m in messages["IMU"]}
     assert parameters["AHRS_ORIENTATION"] == 16  # roll by 90 degrees
     x, y, z = (parameters[f"INS_GYROFFS_{a}"] for a in "XYZ")
@@ -202,7 +212,9 @@ def test_parameters_in_the_order_of_the_log(tmp_path: Path) -> None:
         messages.append(("MAG", (at, 0, *logged, offset, offset, offset, 0, 0, 0, healthy, at)))
         messages.append(("IMU", (at, 0, 0.1 * k, 0.0, 0.0, 0.0, 0.0, -9.8)))
     back = read(dataflash(tmp_path / "a.BIN", messages))
-    np.testing.assert_allclose(back.magnetometer.value, np.delete(raw, 30, axis=0) * 1e-7, atol=1e-15)
+    offsets = np.where(np.arange(40) < 25, 100, 150)[:, None]
+    expected = middle(raw + offsets) - offsets
+    np.testing.assert_allclose(back.magnetometer.value, np.delete(expected, 30, axis=0) * 1e-7, atol=1e-15)
     assert any("1 of 40 samples are unhealthy" in n for n in back.notes)
     np.testing.assert_allclose(back.gyroscope.value[:, 0], np.float32(0.1 * np.arange(40)), rtol=1e-6)
     without = [m for m in messages if not (m[0] == "PARM" and str(m[1][1]).startswith("COMPASS"))]
@@ -251,7 +263,7 @@ def vehicle(path: Path, simulation: mg.Simulation) -> Path:
     for t, m, w in zip(recording.time, recording.magnetic_field * 1e7, recording.angular_rate, strict=True):
         at = 1_000_000 + round(t * 1e6)
         for k, (beside, offset) in enumerate(zip(BESIDE, IN_FLIGHT, strict=True)):
-            logged = np.rint(m + beside + offset).astype(int)
+            logged = np.trunc(m + beside + offset).astype(int)
             messages.append(("MAG", (at, k, *logged, *offset, 0, 0, 0, 1, at)))
         messages += [("IMU", (at, k, *(w - BOARD @ offsets[k]), 0.0, 0.0, -9.8)) for k in range(2)]
     return dataflash(path, messages)
@@ -337,7 +349,8 @@ def test_logs_from_before_2015(tmp_path: Path, columns: str, code: str, unit: fl
         data += add("IMU", at, 0.1 * k, 0.0, 0.0, 0.0, 0.0, -9.8)
     (tmp_path / "old.bin").write_bytes(data)
     back = read(tmp_path / "old.bin")
-    np.testing.assert_allclose(back.magnetometer.value, raw * 1e-7, atol=1e-15)
+    expected = middle(raw + offset + motor) - middle(motor) - offset
+    np.testing.assert_allclose(back.magnetometer.value, expected * 1e-7, atol=1e-15)
     np.testing.assert_allclose(back.time, np.arange(40) / 10, atol=1e-9)
     assert info(tmp_path / "old.bin").duration == pytest.approx(3.9)
 

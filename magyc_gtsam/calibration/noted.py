@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Protocol
+
+import numpy as np
 
 from magyc_gtsam.calibration.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
@@ -40,6 +42,8 @@ def with_clock_drift(calibration: Calibration, drift: float) -> Calibration:
 def as_mounted(calibration: Calibration, log: Mounted, compass: int | None = None) -> Calibration:
     """Return the calibration with what `export` must know of its log in its configuration.
 
+    The covariance of one that is of a recording contains what its reader does not know of the offset that it undid.
+
     Args:
         calibration: of the log.
         log: with its axes and autopilot.
@@ -49,6 +53,8 @@ def as_mounted(calibration: Calibration, log: Mounted, compass: int | None = Non
     known |= {} if log.gyroscope_axes == OWN_AXES else {"gyroscope_axes": log.gyroscope_axes}
     if log.autopilot is not None:
         known["autopilot"] = log.autopilot.to_dict()
+        if isinstance(log, Recording):  # the calibrations of a history contain it
+            calibration = _less_certain(calibration, log.autopilot.offset_sigma)
     return _with(calibration, "configuration", known) if known else calibration
 
 
@@ -81,4 +87,16 @@ def _with(calibration: Calibration, name: str, more: Mapping[str, Any]) -> Calib
     result = object.__new__(type(calibration))
     every = MappingProxyType({**getattr(calibration, name), **more})
     result.__dict__.update({**calibration.__dict__, name: every})
+    return result
+
+
+def _less_certain(calibration: Calibration, sigma: Sequence[float]) -> Calibration:
+    """Return the calibration with a further error of the hard iron, of sigmas (3,) T."""
+    if calibration.covariance is None or not any(sigma):
+        return calibration
+    covariance = calibration.covariance.copy()
+    covariance[6:9, 6:9] += np.diag(np.square(sigma))
+    covariance.flags.writeable = False
+    result = object.__new__(type(calibration))
+    result.__dict__.update({**calibration.__dict__, "covariance": covariance})
     return result

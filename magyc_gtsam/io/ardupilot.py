@@ -40,7 +40,7 @@ def read(path: Path, request: Request) -> Recording:
     channels = tuple(request.channels) if request.channels is not None else _CHANNELS
     log = load(path, _fields(channels), request)
     notes = list(log.notes)
-    compass, place = _magnetometer(log, request, notes)
+    compass, place, sigma = _magnetometer(log, request, notes)
     sensors, gyroscope_place = {"magnetic_field": compass}, Place()
     for sensor in ("angular_rate", "acceleration"):
         key = _choose(log, sensor, request, notes if sensor == "angular_rate" else [])
@@ -75,6 +75,7 @@ def read(path: Path, request: Request) -> Recording:
             gyroscope_place,
             _powers(log, channels),
             *ardupilot_compass.motors_of(log.parameters[-1], place),
+            offset_sigma=sigma,
         ),
     )
 
@@ -138,8 +139,12 @@ def _choose(log: ArduPilotLog, sensor: str, request: Request, notes: list[str]) 
     return keys[0] if keys else None
 
 
-def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tuple[Stream, Place]:
-    """Return the uncorrected magnetometer, without unhealthy samples, and the place of its parameters."""
+def _magnetometer(
+    log: ArduPilotLog, request: Request, notes: list[str]
+) -> tuple[Stream, Place, tuple[float, ...]]:
+    """Return the uncorrected magnetometer, without unhealthy samples, the place of its parameters, and sigmas (3,) of
+    the offset that was undone, T.
+    """
     key = _choose(log, "magnetic_field", request, notes)
     if key is None:
         raise MagycError(
@@ -148,7 +153,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tupl
     samples = log.samples[key]
     _expect_one_boot(samples, request)
     stream = samples.stream(*_AXES["magnetic_field"][1])
-    raw, correction_notes = ardupilot_compass.undo(
+    raw, sigma, correction_notes = ardupilot_compass.undo(
         stream.value,
         samples.first_of(*_OFFSETS),
         samples.first_of(*_MOTORS),
@@ -166,7 +171,7 @@ def _magnetometer(log: ArduPilotLog, request: Request, notes: list[str]) -> tupl
                 f"{stream.name}: {(~healthy).sum()} of {len(healthy)} samples are unhealthy and were left out"
             )
             stream = stream.rows(healthy)
-    return stream, ardupilot_compass.place_of(log.parameters[-1], key[1])
+    return stream, ardupilot_compass.place_of(log.parameters[-1], key[1]), tuple((sigma * abs(scale)).tolist())
 
 
 def _expect_one_boot(samples: InstanceSamples, request: Request) -> None:

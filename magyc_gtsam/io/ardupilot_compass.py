@@ -2,7 +2,8 @@
 
 ArduPilot logs M · scale · (raw + offset) + motor, milligauss in the vehicle's frame: M from COMPASS_DIA and
 COMPASS_ODI, scale from COMPASS_SCALE, motor from the current or throttle. Before compensation per motor (2018) it
-logged M · (raw + offset + motor). Offset and motor are logged with every sample, truncated to integers.
+logged M · (raw + offset + motor). Field, offset and motor are logged as integers, truncated towards zero; each counts
+as the middle of what its number stands for. Truncated fields make the soft iron wrong by 0.0016, at a sigma of 0.0005.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ def undo(
     which: NDArray[np.int64],
     parameters: Sequence[dict[str, float]],
     instance: int,
-) -> tuple[Array, tuple[str, ...]]:
-    """Return the raw field (n, 3) in milligauss, and notes on the correction.
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return the raw field (n, 3) in milligauss, the sigmas (3,) of the offset that was undone, and notes.
 
     Args:
         logged: (n, 3) milligauss, corrected.
@@ -44,7 +45,8 @@ def undo(
         MagycError: the log has no compass parameters, or the order of its corrections is unknown.
     """
     raw = np.empty_like(logged)
-    coarse = 0
+    known = np.ones(logged.shape, dtype=bool)
+    logged, motor = _not_truncated(logged), _not_truncated(motor)
     notes: list[str] = []
     for index in np.unique(which):
         rows = which == index
@@ -55,7 +57,7 @@ def undo(
         exact = np.array([current[f"COMPASS_OFS{suffix}_{axis}"] for axis in "XYZ"])
         # The parameter has the digits that were truncated, unless ArduPilot learned the offset in flight.
         fits = (np.abs(exact - offset[rows]) < 1).all(axis=1)
-        coarse += int((~fits).sum())
+        known[rows] = fits[:, None]
         added = np.where(fits[:, None], exact, _not_truncated(offset[rows]))
         if "COMPASS_PMOT_EN" in current or f"COMPASS_SCALE{suffix}" in current:
             field = np.linalg.solve(matrix, (logged[rows] - motor[rows]).T).T / scale
@@ -75,13 +77,26 @@ def undo(
         if motor[rows].any():
             parts.append(f"motor correction of up to {np.abs(motor[rows]).max():.0f} milligauss")
         notes.append(f"applied in flight and undone: {', '.join(parts)}")
+    coarse = int((~known[:, 0]).sum())
     if coarse:
         notes.append(
             f"{coarse} offsets differ from the parameters (learned in flight) and are known to ±0.5 milligauss "
-            "(0.05 µT), which the sigmas of the hard iron do not contain"
+            "(0.05 µT), which the sigmas of the hard iron contain"
         )
-    notes.append("ArduPilot logs the field in steps of 1 milligauss (0.1 µT)")
-    return raw, tuple(notes)
+    notes.append("ArduPilot logs the field in steps of 1 milligauss (0.1 µT), truncated: half a step is added")
+    return raw, _sigma(offset, known), tuple(notes)
+
+
+def _sigma(offset: Array, known: NDArray[np.bool_]) -> Array:
+    """Return the sigmas (3,) of the mean of offsets (n, 3) that are logged as integers, unless they are `known`.
+
+    All samples with the same number have the same error, which is uniform over half a step to either side.
+    """
+    result = np.zeros(3)
+    for axis in range(3):
+        _, counts = np.unique(offset[~known[:, axis], axis], return_counts=True)
+        result[axis] = 0.5 / np.sqrt(3) * np.sqrt(np.square(counts / len(offset)).sum())
+    return result
 
 
 def _check_complete(parameters: dict[str, float], suffix: str) -> None:
@@ -106,8 +121,8 @@ def _check_complete(parameters: dict[str, float], suffix: str) -> None:
 
 
 def _not_truncated(whole: Array) -> Array:
-    """Return the mean of the numbers that are truncated towards zero to a whole one."""
-    result: Array = whole + 0.5 * np.sign(whole)
+    """Return the mean of the numbers that are truncated towards zero to a whole one; others stay."""
+    result: Array = np.where(whole == np.trunc(whole), whole + 0.5 * np.sign(whole), whole)
     return result
 
 

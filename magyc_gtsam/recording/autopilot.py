@@ -73,6 +73,7 @@ class Autopilot:
             the value of COMPASS_MOTCT or CAL_MAG_COMP_TYP for it, and the value of the channel at 1 A or full throttle.
         compensation: the value of COMPASS_MOTCT or CAL_MAG_COMP_TYP at the end of the log, of all compasses.
         others: names of the motor parameters of the vehicle's other compasses that are set.
+        offset_sigma: (3,) T, of the mean offset that was taken out of the readings of the recording.
     """
 
     firmware: str
@@ -81,6 +82,7 @@ class Autopilot:
     powers: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     compensation: int = 0
     others: tuple[str, ...] = ()
+    offset_sigma: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the places as JSON types."""
@@ -94,6 +96,7 @@ class Autopilot:
             "powers": {name: [int(kind), float(unit)] for name, (kind, unit) in self.powers.items()},
             "compensation": self.compensation,
             "others": list(self.others),
+            "offset_sigma": list(self.offset_sigma),
         }
 
     @classmethod
@@ -116,6 +119,7 @@ class Autopilot:
                 powers,
                 int(data.get("compensation", 0)),
                 tuple(str(name) for name in data.get("others", ())),
+                tuple(float(sigma) for sigma in data.get("offset_sigma", (0.0, 0.0, 0.0))),
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise MagycError(f"autopilot: damaged entry ({error}); calibrate the log again") from None
