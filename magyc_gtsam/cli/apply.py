@@ -109,8 +109,8 @@ def _write_mcap(
     from magyc_gtsam.io.mcap_copy import copy_mcap
     from magyc_gtsam.recording.time_zero import time_zero_of
 
-    with open(reading.log, "rb") as file:
-        is_mcap = file.read(5) == b"\x89MCAP"
+    is_bag = reading.log.is_dir()
+    is_mcap = not is_bag and _begins(reading.log) == b"\x89MCAP"
     named = reading.magnetic_field, reading.angular_rate
     if is_mcap and reading.gyroscope_axes is None:
         count = copy_mcap(
@@ -132,7 +132,12 @@ def _write_mcap(
             return count.calibrated["magnetic_field"], remark
     result = without_lag(calibrated, lag)
     write_mcap(path, result, epoch=time_zero_of(calibrated))
-    return int(result.magnetic_field_fresh.sum()), "; other topics are not in it" if is_mcap else ""
+    return int(result.magnetic_field_fresh.sum()), "; other topics are not in it" if is_mcap or is_bag else ""
+
+
+def _begins(log: Path) -> bytes:
+    with open(log, "rb") as file:
+        return file.read(5)
 
 
 def _write_csv(path: Path, recording: Recording, origin: int) -> int:

@@ -15,6 +15,7 @@ from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, distinct_names, headline, labels, shown, write_tables
 from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder, remove_results
 from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
+from magyc_gtsam.storage.files import size_of
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -25,8 +26,12 @@ _PARTS = ".parts"
 
 
 def many(log: Path, more: Sequence[Path] | None) -> bool:
-    """Return whether the arguments of a command name several logs, a folder or a pattern."""
-    return bool(more) or log.is_dir() or (not log.exists() and _PATTERN.search(str(log)) is not None)
+    """Return whether the arguments of a command name several logs, a folder that is no ROS 2 bag, or a pattern."""
+    if log.is_dir() and not more:
+        from magyc_gtsam.io.ros2_bag import is_bag
+
+        return not is_bag(log)
+    return bool(more) or (not log.exists() and _PATTERN.search(str(log)) is not None)
 
 
 def unique_names(logs: Sequence[Path]) -> list[str]:
@@ -145,7 +150,7 @@ def _fingerprint(task: Task) -> str:
         task.force,
         task.compass,
     )
-    text = repr((decisive, state.st_size, state.st_mtime_ns, __version__))
+    text = repr((decisive, size_of(task.reading.log), state.st_mtime_ns, __version__))
     return f"{task.folder.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 

@@ -103,7 +103,7 @@ def check_configured_log(context: typer.Context, log: Path, config: Path | None)
     from magyc_gtsam.storage.files import sha256
 
     known = context.meta.get(CHECKSUM)
-    if known is None or not log.is_file() or sha256(log) == known:
+    if known is None or not log.exists() or sha256(log) == known:
         return ""
     source = context.get_parameter_source("log")
     if source is not None and source.name == "COMMANDLINE":
@@ -118,7 +118,7 @@ Log = Annotated[
     Path,
     typer.Argument(
         metavar="LOG",
-        help="MCAP, ROS bag, PX4, ArduPilot, MAVLink, Blackbox, phone archive or text table.",
+        help="MCAP, ROS bag (of ROS 2 its folder), PX4, ArduPilot, MAVLink, Blackbox, phone archive or text table.",
         show_default=False,
     ),
 ]

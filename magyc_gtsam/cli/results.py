@@ -150,13 +150,13 @@ def _versions(*names: str) -> dict[str, str]:
 def run_description(reading: Reading, recording: Recording, arguments: Sequence[str]) -> dict[str, Any]:
     """Return the command, versions, the log with its checksum, and how it was read, as JSON types."""
     from magyc_gtsam import __version__
-    from magyc_gtsam.storage.files import sha256
+    from magyc_gtsam.storage.files import sha256, size_of
 
     return {
         "magyc_gtsam": __version__,
         "command": shlex.join(["magyc-gtsam", *arguments]),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "log": {"name": reading.log.name, "sha256": sha256(reading.log), "bytes": reading.log.stat().st_size},
+        "log": {"name": reading.log.name, "sha256": sha256(reading.log), "bytes": size_of(reading.log)},
         "interval": [float(recording.time[0]), float(recording.time[-1])],
         "reading": reading.to_dict(),
         "notes": list(recording.notes),

@@ -79,8 +79,8 @@ def read(
     """Read a log into a `Recording`. Time 0 is the log's first row; the notes list conversions and omissions.
 
     Args:
-        path: MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag or .db3, MAVLink .tlog, Blackbox
-            (Betaflight, INAV), or the .zip of a phone app.
+        path: MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag or .db3, the folder of a ROS 2 bag (its files are one
+            log), MAVLink .tlog, Blackbox (Betaflight, INAV), or the .zip of a phone app.
         magnetic_field, angular_rate, acceleration, attitude: the topic (MCAP), the columns or their common prefix
             (text), or the message (PX4, ArduPilot) of each sensor; needed only if several match.
         magnetic_unit: unit of the magnetometer, if it is neither tesla nor named in the header: "T", "mT", "uT",
@@ -172,12 +172,16 @@ def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:
     Raises:
         MagycError: a file does not exist or is not a log.
     """
-    return _reader(Path(one)) is _reader(Path(other))
+    first, second = (_reader(Path(each)).__name__.rpartition(".")[2] for each in (one, other))
+    return first == second or {first, second} <= {"mcap_log", "ros_bag", "ros2_bag"}
 
 
 def _reader(path: Path) -> ModuleType:
     """Return the module that reads a file."""
     if path.is_dir():
+        bag = importlib.import_module("magyc_gtsam.io.ros2_bag")
+        if bag.is_bag(path):
+            return bag
         inside = [*sorted(path.glob("*.mcap")), *sorted(path.glob("*.db3"))]
         hint = f"; read its {inside[0].name}" if inside else "; name a log in it"
         raise MagycError(f"{path}: expected a file, got a directory{hint}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import re
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Any, overload
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import SUFFIXES, read
+from magyc_gtsam.io.ros2_bag import is_bag
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.storage.files import expect_path
+from magyc_gtsam.storage.files import expect_path, natural
 
 _PATTERN = ("*", "?", "[")
 # Results of the command line with the suffix of a log, and a file that each is beside.
@@ -28,8 +28,9 @@ Paths = str | PathLike[str] | Iterable[str | PathLike[str]]
 def find_logs(paths: Paths) -> tuple[Path, ...]:
     """Return the logs that files, folders (recursively) and patterns name, each once.
 
-    A file is accepted with any suffix; from folders and patterns only files with the suffix of a log are, and none
-    whose name, or whose folder's, begins with a dot, or that is a result of the command line.
+    A folder that is a ROS 2 bag, with its metadata.yaml, is one log. A file is accepted with any suffix; from folders
+    and patterns only files with the suffix of a log are, and none whose name, or whose folder's, begins with a dot, or
+    that is a result of the command line.
 
     Raises:
         MagycError: a path does not exist, or a folder or pattern has no logs.
@@ -40,11 +41,14 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
     )
     for each in listed:
         path = expect_path("read_many", each)
-        if path.is_dir():
+        if path.is_dir() and not is_bag(path):
+            every = sorted(path.rglob("*"), key=natural)
+            bags = {file.parent for file in every if file.name == "metadata.yaml" and is_bag(file.parent)}
             inside = [
                 file
-                for file in sorted(path.rglob("*"), key=_natural)
-                if _is_log(file) and not any(part.startswith(".") for part in file.relative_to(path).parts)
+                for file in every
+                if (file in bags or (_is_log(file) and file.parent not in bags))
+                and not any(part.startswith(".") for part in file.relative_to(path).parts)
             ]
             if not inside:
                 raise MagycError(f"{path}: no logs in this folder ({', '.join(SUFFIXES)})")
@@ -52,20 +56,15 @@ def find_logs(paths: Paths) -> tuple[Path, ...]:
         elif path.exists():
             logs[path] = None
         elif any(mark in str(each) for mark in _PATTERN):
-            named = sorted(map(Path, glob.glob(str(each), recursive=True)), key=_natural)
-            matching = [file for file in named if _is_log(file)]
+            named = sorted(map(Path, glob.glob(str(each), recursive=True)), key=natural)
+            matching = [file for file in named if _is_log(file) or (file.is_dir() and is_bag(file))]
+            matching = [file for file in matching if file.parent not in matching]
             if not matching:
                 raise MagycError(f"{each}: no logs match this pattern")
             logs |= dict.fromkeys(matching)
         else:
             raise MagycError(f"{path}: no such file or folder")
     return tuple(logs)
-
-
-def _natural(file: Path) -> list[tuple[int, str]]:
-    """Return a key that sorts names as people do: dive2 before dive10."""
-    parts = re.split(r"(\d+)", file.as_posix())
-    return [(int(part) if part.isdecimal() else -1, part) for part in parts]
 
 
 def _is_log(file: Path) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.storage.files import size_of
 
 LARGEST_CHUNK = 1 << 28  # bytes, unpacked; recorders write chunks of 1 to 16 MB
 
@@ -23,12 +24,12 @@ def allowance(path: Path, what: str = "", limit: tuple[int, int] | None = None) 
     """Return a function that is told of bytes before they are kept, and raises once a file asks for too many.
 
     Args:
-        path: the file.
+        path: the file, or the folder of a bag.
         what: what the file does then, and the remedy; the default is about unpacking.
         limit: a multiple of the file's size, and bytes beside it; that of unpacking if None.
     """
     limit = UNPACKED if limit is None else limit
-    size = path.stat().st_size
+    size = size_of(path)
     left = limit[0] * size + limit[1]
     what = what or (
         f"unpacks to more than {limit[0]} times its {size} bytes, the limit that protects the memory; is it a log of "

@@ -49,16 +49,23 @@ def _load(path: Path, request: Request, wanted: Callable[[str, str], bool]) -> R
     """Load the topics of a bag; see `ros_log.Load`."""
     with open(path, "rb") as file:
         head = file.read(len(SQLITE))
+    refuse_packed(path, head)
+    notes: list[str] = []
+    source = sqlite_records(path, notes, request.report) if head == SQLITE else _ros1(path, notes, request.report)
+    return collected(path, source, request, wanted, notes, {})
+
+
+def refuse_packed(path: Path, head: bytes) -> None:
+    """Raise a MagycError if a file, which begins with `head`, is one that rosbag2 compressed."""
     if head.startswith(_ZSTD):
         raise MagycError(
             f"{path}: rosbag2 compressed the whole file; unpack it first (zstd -d {path.name} -o {path.stem})"
         )
-    notes: list[str] = []
-    source = _sqlite(path, notes, request.report) if head == SQLITE else _ros1(path, notes, request.report)
-    return collected(path, source, request, wanted, notes, {})
 
 
-def _sqlite(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[Schema | Channel | Block]:
+def sqlite_records(
+    path: Path, notes: list[str], report: Callable[[float], None]
+) -> Iterator[Schema | Channel | Block]:
     """Yield the records of a ROS 2 bag; damage ends them with a note."""
     try:
         with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:

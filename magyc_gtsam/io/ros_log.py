@@ -23,6 +23,7 @@ from magyc_gtsam.io.ros_topic import LARGEST, Topic
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.applied import CALIBRATED
+from magyc_gtsam.storage.files import size_of
 
 # Limit of the numbers kept: a multiple of the file's size, and bytes. One-byte numbers grow eightfold.
 _KEPT = (30, 1 << 26)
@@ -98,7 +99,7 @@ def collected(
         MagycError: there is no message, or the numbers exceed the limit for a file of this size.
     """
     much = (
-        f"holds more numbers than {_KEPT[0]} times its {path.stat().st_size} bytes; read only the channels that are "
+        f"holds more numbers than {_KEPT[0]} times its {size_of(path)} bytes; read only the channels that are "
         "needed (channels=), or none (channels=[])"
     )
     topics = Topics(wanted, request, notes, grant=allowance(path, much, _KEPT))

@@ -1,10 +1,11 @@
-"""Files of the package: atomic writing, also by several processes at once; checksums; the check of paths."""
+"""Files of the package: atomic writing, also by several processes at once; checksums, sizes and the check of paths."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -114,17 +115,33 @@ def write_text(file: Path, text: str) -> None:
 _BLOCK = 1 << 20  # bytes read at a time
 
 
-def sha256(file: Path) -> str:
-    """Return the SHA-256 of a file, hexadecimal.
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the files of a folder one after the other, hexadecimal.
 
     Raises:
-        OSError: the file cannot be read.
+        OSError: a file cannot be read.
     """
     digest = hashlib.sha256()
-    with open(file, "rb") as opened:
-        while block := opened.read(_BLOCK):
-            digest.update(block)
+    for file in _files(path):
+        with open(file, "rb") as opened:
+            while block := opened.read(_BLOCK):
+                digest.update(block)
     return digest.hexdigest()
+
+
+def size_of(path: Path) -> int:
+    """Return the bytes of a file, or of the files of a folder."""
+    return sum(file.stat().st_size for file in _files(path))
+
+
+def natural(file: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts names as people do: dive2 before dive10."""
+    parts = re.split(r"(\d+)", file.as_posix())
+    return [(int(part) if part.isdecimal() else -1, part) for part in parts]
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(filter(Path.is_file, path.iterdir()), key=natural) if path.is_dir() else [path]
 
 
 def expect_path(function: str, value: Any) -> Path:
