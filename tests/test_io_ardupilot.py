@@ -300,7 +300,10 @@ def test_exported_parameters_correct_the_compass_of_their_driver(tmp_path: Path,
     ("parameters", "why"),
     [
         ({}, "does not hold INS_GYROFFS"),
-        ({"INS_GYROFFS_X": 0.1, "AHRS_ORIENTATION": 101.0}, "AHRS_ORIENTATION 101 is not a fixed"),
+        (
+            {"INS_GYROFFS_X": 0.1, "INS_GYROFFS_Y": 0.1, "INS_GYROFFS_Z": 0.1, "AHRS_ORIENTATION": 100.0},
+            "AHRS_ORIENTATION 100 is not a rotation",
+        ),
     ],
 )
 def test_an_offset_that_cannot_be_undone_is_not_replaced(

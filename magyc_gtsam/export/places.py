@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.export.correction import Correction, number
+from magyc_gtsam.export.correction import Correction, degrees, number
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording.autopilot import Autopilot, Place, ardupilot_offset
 
@@ -59,6 +59,10 @@ def in_places(correction: Correction, magnetometer: Place, gyroscope: Place) -> 
     if gyroscope.problem and not (bias is None and warming is None):
         remarks = [f"# LIMIT: the gyroscope's values are not included: {gyroscope.problem}."]
         bias = warming = None
+    if c.rotation is not None and magnetometer.fixed:
+        angle = degrees(c.rotation)
+        remarks.append(f"# LIMIT: a fixed rotation of {angle:.2f} deg is left out, since {magnetometer.fixed}.")
+        c = replace(c, rotation=None)
     placed = replace(
         c,
         matrix=own.T @ c.matrix @ own,
@@ -111,7 +115,7 @@ def numbered(lines: list[str], target: str, magnetometer: Place, gyroscope: Plac
     """
     if target == "px4":
         return _of_px4(lines, magnetometer, gyroscope)
-    return _of_ardupilot(lines, magnetometer.slot + 1, gyroscope.slot) if target == "ardupilot" else lines
+    return _of_ardupilot(lines, magnetometer, gyroscope.slot) if target == "ardupilot" else lines
 
 
 def _of_px4(lines: list[str], magnetometer: Place, gyroscope: Place) -> list[str]:
@@ -128,21 +132,22 @@ def _of_px4(lines: list[str], magnetometer: Place, gyroscope: Place) -> list[str
     return [*remarks, *lines, *identifiers]
 
 
-def _of_ardupilot(lines: list[str], compass: int, gyroscope: int) -> list[str]:
+def _of_ardupilot(lines: list[str], magnetometer: Place, gyroscope: int) -> list[str]:
     lines = [re.sub(r"\bINS_GYROFFS", ardupilot_offset(gyroscope), line) for line in lines]
-    if compass == 1:
-        return lines
-    if compass > _CUSTOM_ROTATIONS and any(line.startswith("CUST_ROT1_") for line in lines):
+    compass = magnetometer.slot + 1
+    custom = magnetometer.custom or compass
+    suffix = "" if compass == 1 else str(compass)
+    if custom > _CUSTOM_ROTATIONS and any(line.startswith("CUST_ROT1_") for line in lines):
         raise MagycError(
             f"compass {compass}: ArduPilot has only {_CUSTOM_ROTATIONS} custom rotations; mount it straight"
         )
-    if any(line.startswith("COMPASS_PMOT_EN") for line in lines):
+    if compass > 1 and any(line.startswith("COMPASS_PMOT_EN") for line in lines):
         raise MagycError(f"compass {compass}: ArduPilot compensates per motor only for the first compass")
     renames = (
-        (r"\bCOMPASS_(OFS|DIA|ODI|MOT)_", rf"COMPASS_\g<1>{compass}_"),
-        (r"\bCOMPASS_ORIENT([ ,])101\b", rf"COMPASS_ORIENT{compass}\g<1>{100 + compass}"),
-        (r"\bCOMPASS_(SCALE|ORIENT)\b", rf"COMPASS_\g<1>{compass}"),
-        (r"\bCUST_ROT1_", f"CUST_ROT{compass}_"),
+        (r"\bCOMPASS_(OFS|DIA|ODI|MOT)_", rf"COMPASS_\g<1>{suffix}_"),
+        (r"\bCOMPASS_ORIENT([ ,])101\b", rf"COMPASS_ORIENT{suffix}\g<1>{100 + custom}"),
+        (r"\bCOMPASS_(SCALE|ORIENT)\b", rf"COMPASS_\g<1>{suffix}"),
+        (r"\bCUST_ROT1_", f"CUST_ROT{custom}_"),
     )
     for old, new in renames:
         lines = [re.sub(old, new, line) for line in lines]

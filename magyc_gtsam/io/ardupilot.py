@@ -52,12 +52,17 @@ def read(path: Path, request: Request) -> Recording:
         stream = samples.stream(*_AXES[sensor][1])
         if sensor == "angular_rate":
             raw, note, gyroscope_place = ardupilot_gyroscope.undo(
-                stream.value, samples.parameters, log.parameters, key[1]
+                stream.value, samples.parameters, log.parameters, key[1], log.last
             )
             stream = replace(stream, value=raw)
             cutoff = log.parameters[-1].get("INS_GYRO_FILTER")
             delayed = f"; the rates are low-pass filtered at {cutoff:g} Hz (INS_GYRO_FILTER)" if cutoff else ""
             notes.append(f"{note}{delayed}")
+        else:
+            stream = replace(
+                stream,
+                value=ardupilot_gyroscope.turned(stream.value, samples.parameters, log.parameters, log.last),
+            )
         sensors[sensor] = Stream(stream.name, stream.stamp, stream.value * scale)
     attitude = _attitude(log, request, notes)
     if attitude is not None:
@@ -160,6 +165,7 @@ def _magnetometer(
         samples.parameters,
         log.parameters,
         key[1],
+        log.last,
     )
     notes.extend(correction_notes)
     scale = request.scale("magnetic_field", _MILLIGAUSS, notes)

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.px4_calibration import LARGEST_MOUNTING, euler, mounting
+from magyc_gtsam.io.ardupilot_orientation import custom_of, external_of, number_of, slot_of, suffix_of, turn_of
 from magyc_gtsam.recording.autopilot import Place
 
 Array = NDArray[np.float64]
 
-_CUSTOM = (101, 102)  # orientations by CUST_ROT1 and CUST_ROT2
 _SCALES = (1 / 1.5, 1.5)  # ArduPilot ignores a scale outside this range
 
 
@@ -30,6 +29,7 @@ def undo(
     which: NDArray[np.int64],
     parameters: Sequence[dict[str, float]],
     instance: int,
+    last: NDArray[np.int64] | None = None,
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Return the raw field (n, 3) in milligauss, the sigmas (3,) of the offset that was undone, and notes.
 
@@ -40,6 +40,7 @@ def undo(
         which: (n,) index of the set of parameters in force.
         parameters: the sets of parameters.
         instance: number of the compass in the log.
+        last: (k,) for each set, the index of the one into whose orientation readings are turned; None for the last.
 
     Raises:
         MagycError: the log has no compass parameters, or the order of its corrections is unknown.
@@ -51,7 +52,7 @@ def undo(
     for index in np.unique(which):
         rows = which == index
         current = parameters[index]
-        suffix = _number(slot_of(current, instance))
+        suffix = suffix_of(slot_of(current, instance))
         _check_complete(current, suffix)
         matrix, scale = _matrix(current, suffix), _scale(current, suffix)
         exact = np.array([current[f"COMPASS_OFS{suffix}_{axis}"] for axis in "XYZ"])
@@ -68,7 +69,12 @@ def undo(
             )
         else:
             field = np.linalg.solve(matrix, logged[rows].T).T - motor[rows]
-        raw[rows] = field - added
+        end = parameters[-1 if last is None else last[index]]
+        before, after = (turn_of(one, slot_of(one, instance)) for one in (current, end))
+        raw[rows] = _turned(field - added, before, after)
+        if before is not None and after is not None and not np.allclose(before, after):
+            name, number = number_of(current, slot_of(current, instance))
+            notes.append(f"{name} was {number} for {rows.sum()} samples, which are turned by the one at the end")
         parts = [f"offset ({', '.join(f'{x:.1f}' for x in added[0])}) milligauss"]
         if not np.array_equal(matrix, np.eye(3)):
             parts.append(f"COMPASS_DIA{suffix} and COMPASS_ODI{suffix} {np.array2string(matrix, precision=4)}")
@@ -85,6 +91,18 @@ def undo(
         )
     notes.append("ArduPilot logs the field in steps of 1 milligauss (0.1 µT), truncated: half a step is added")
     return raw, _sigma(offset, known), tuple(notes)
+
+
+def _turned(value: Array, before: Array | None, after: Array | None) -> Array:
+    """Return values (n, 3) of a compass that had one orientation as they were with another."""
+    if before is None and after is None:
+        return value
+    if before is None or after is None:
+        raise MagycError(
+            "COMPASS_ORIENT changes within the log, to or from a rotation that is not known; cut the log"
+        )
+    turned: Array = value @ before @ after.T
+    return turned
 
 
 def _sigma(offset: Array, known: NDArray[np.bool_]) -> Array:
@@ -126,31 +144,32 @@ def _not_truncated(whole: Array) -> Array:
     return result
 
 
-def slot_of(parameters: dict[str, float], instance: int) -> int:
-    """Return the number, from 0, of a compass's parameters; the log counts by priority, the parameters by driver."""
-    device = parameters.get(f"COMPASS_PRIO{instance + 1}_ID", 0)
-    drivers = [i for i in range(3) if device and parameters.get(f"COMPASS_DEV_ID{_number(i)}") == device]
-    return drivers[0] if drivers else instance
-
-
 def place_of(parameters: dict[str, float], instance: int) -> Place:
     """Return the place of a compass's parameters, with the rotation that was applied before them."""
     slot = slot_of(parameters, instance)
-    name = f"COMPASS_ORIENT{_number(slot)}"
-    number = int(parameters.get(name, 0))
-    if number in _CUSTOM:
-        angles = [parameters.get(f"CUST_ROT{number - 100}_{angle}", 0.0) for angle in ("ROLL", "PITCH", "YAW")]
-        turned = euler(*angles)
-    elif 0 <= number <= LARGEST_MOUNTING:
-        turned = mounting(number)
-    else:
+    turned = turn_of(parameters, slot)
+    if turned is None:
+        name, number = number_of(parameters, slot)
         return Place(slot, problem=f"{name} {number} of the log is not a rotation that is known; set another")
-    return Place(slot, mounting=tuple(map(tuple, turned.tolist())), to_clear=_of_motors(parameters, slot))
+    custom, fixed = custom_of(parameters, slot), ""
+    if external_of(parameters, slot) is False:
+        fixed = "the compass is inside the autopilot, which turns it only with its board"
+    elif not custom:
+        fixed = "both custom rotations of ArduPilot are in use by the board or other compasses"
+    return Place(
+        slot,
+        mounting=tuple(map(tuple, turned.tolist())),
+        custom=custom,
+        fixed=fixed,
+        to_clear=_of_motors(parameters, slot),
+    )
 
 
 def _of_motors(parameters: dict[str, float], slot: int) -> tuple[str, ...]:
     """Return the names of the parameters by which a compass is corrected for the motors, which `undo` takes back."""
-    names = [f"COMPASS_MOT{_number(slot)}_{axis}" for axis in "XYZ"] if parameters.get("COMPASS_MOTCT", 0) else []
+    names = (
+        [f"COMPASS_MOT{suffix_of(slot)}_{axis}" for axis in "XYZ"] if parameters.get("COMPASS_MOTCT", 0) else []
+    )
     if slot == 0:  # per motor only for the first compass
         names.append("COMPASS_PMOT_EN")
     return tuple(name for name in names if parameters.get(name, 0.0))
@@ -158,13 +177,8 @@ def _of_motors(parameters: dict[str, float], slot: int) -> tuple[str, ...]:
 
 def motors_of(parameters: dict[str, float], place: Place) -> tuple[int, tuple[str, ...]]:
     """Return `Autopilot.compensation`, and `Autopilot.others` beside the compass of a place."""
-    others = (f"COMPASS_MOT{_number(slot)}_{axis}" for slot in range(3) if slot != place.slot for axis in "XYZ")
+    others = (f"COMPASS_MOT{suffix_of(slot)}_{axis}" for slot in range(3) if slot != place.slot for axis in "XYZ")
     return int(parameters.get("COMPASS_MOTCT", 0)), tuple(n for n in others if parameters.get(n, 0.0))
-
-
-def _number(index: int) -> str:
-    """Return the suffix of the parameters of a driver: "" for the first, "2", "3"."""
-    return str(index + 1) if index else ""
 
 
 def _matrix(parameters: dict[str, float], suffix: str) -> Array:

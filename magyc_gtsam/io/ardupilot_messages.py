@@ -66,11 +66,13 @@ class ArduPilotLog:
     Attributes:
         samples: {(message, instance): samples}.
         parameters: the sets of parameters that were in force, in their order.
+        last: (k,) for each set, the index of the last one before the vehicle was switched off.
         notes: remarks on damage.
     """
 
     samples: dict[tuple[str, int], InstanceSamples]
     parameters: list[dict[str, float]]
+    last: NDArray[np.int64]
     notes: tuple[str, ...]
 
 
@@ -147,7 +149,9 @@ def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: 
         request.report(0.3 + 0.7 * (done + 1) / len(present))
     if impossible:
         notes.append(f"{impossible} messages have impossible times and were left out")
-    return ArduPilotLog(samples, parameters, tuple(notes))
+    boot = np.searchsorted(log.boots, np.append(-1, changes), side="right")
+    last = np.searchsorted(boot, boot, side="right") - 1
+    return ArduPilotLog(samples, parameters, last, tuple(notes))
 
 
 def _is_one(log: Dataflash, kind: str, columns: tuple[str, ...], notes: list[str]) -> bool:

@@ -24,6 +24,8 @@ class Place:
         device: identifier to be written with them, of a sensor that has no slot yet; None leaves the present one.
         axes: (3, 3), from the axes in which the firmware applies the parameters to those of the recording.
         mounting: (3, 3), by which it turns the readings before it applies them; an export with a rotation includes it.
+        custom: number of the custom rotation that ArduPilot can turn it by, from 1; 0 if the log does not tell.
+        fixed: why the vehicle cannot turn it by parameters of its own; "" if it can, or the log does not tell.
         to_clear: names of parameters that correct the sensor on the vehicle, and not in the recording: an export sets
             them to 0, if it has no value for them.
         problem: why no parameters can be written; "" if they can.
@@ -36,6 +38,8 @@ class Place:
     device: int | None = None
     axes: tuple[tuple[float, ...], ...] = _UNTURNED
     mounting: tuple[tuple[float, ...], ...] = _UNTURNED
+    custom: int = 0
+    fixed: str = ""
     to_clear: tuple[str, ...] = ()
     problem: str = ""
 
@@ -43,8 +47,11 @@ class Place:
         whole = [self.slot] if self.device is None else [self.slot, self.device]
         if any(not isinstance(n, int) or isinstance(n, bool) or not 0 <= n < _LARGEST for n in whole):
             raise MagycError(f"autopilot: slot and device must be whole numbers from 0, got {whole!r:.60}")
-        if not isinstance(self.problem, str):
-            raise MagycError(f"autopilot: problem must be a text, got {self.problem!r:.60}")
+        for name in ("problem", "fixed"):
+            if not isinstance(getattr(self, name), str):
+                raise MagycError(f"autopilot: {name} must be a text, got {getattr(self, name)!r:.60}")
+        if self.custom not in (0, 1, 2):
+            raise MagycError(f"autopilot: custom must be 0, 1 or 2, got {self.custom!r:.60}")
         if isinstance(self.to_clear, str) or not all(isinstance(name, str) for name in self.to_clear):
             raise MagycError(f"autopilot: to_clear must be names, got {self.to_clear!r:.60}")
         object.__setattr__(self, "to_clear", tuple(self.to_clear))
