@@ -136,10 +136,21 @@ def _show(gap: GapOfMany, folder: Path, every: bool) -> None:
         show_table(VALUES, _log_rows(gap), words=(1,))
     if gap.own:
         show("", *(f"{own.log}: {own.sentence}" for own in gap.own))
+    if parts := _left_out(gap):
+        show("", *parts)
     if gap.weights:
         show("", "Other hypotheses, against the model with these effects:")
         show_table(WEIGHTS, weight_rows(gap, _LISTED if every else _SHOWN))
     show_results(folder)
+
+
+def _left_out(gap: GapOfMany) -> list[str]:
+    """Return a sentence on each stretch of a log that was left out because a sensor was faulty."""
+    return [
+        f"{name}: left out: {where}"
+        for name, calibration in gap.calibrations.items()
+        for where in calibration.diagnostics.get("left_out", ())
+    ]
 
 
 def _headline(gap: GapOfMany) -> str:
@@ -156,6 +167,7 @@ def _page(gap: GapOfMany) -> str:
         Section("Effects", EFFECTS, effect_rows(gap), [] if gap.effects else ["None."]),
         Section("Log by log", VALUES, _log_rows(gap)),
         Section("Logs left out", sentences=[f"{own.log}: {own.sentence}" for own in gap.own] or ["None."]),
+        Section("Parts of logs left out", sentences=_left_out(gap)),
         Section("Other hypotheses, against the model with these effects", WEIGHTS, weight_rows(gap, _LISTED)),
     ]
     kept = [section for section in sections if section.rows or section.sentences]

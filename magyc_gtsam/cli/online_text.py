@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.cli.online_feed import Feed
     from magyc_gtsam.live.source import LiveSource
-    from magyc_gtsam.online import Change, OnlineCalibrator
+    from magyc_gtsam.online import Change, OnlineCalibrator, Progress
 
 _BAR = 24  # characters
 
@@ -36,10 +36,12 @@ def line(feed: Feed, source: LiveSource, health: StreamHealth) -> str:
     return " | ".join(parts)
 
 
-def left_out_sentence(samples: int) -> list[str]:
-    """Return a line on the samples that were left out; none if there are none."""
+def left_out_sentence(progress: Progress) -> list[str]:
+    """Return a line on the number of samples that were left out; none if there are none."""
     why = "stamps that repeat, go back or leap, and values beyond what the sensors measure"
-    return [f"left out: {samples} samples ({why})"] if samples else []
+    if progress.stuck or progress.clipped is not None:
+        why = f"those of faulty sensors, {why}"
+    return [f"left out: {progress.left_out} samples ({why})"] if progress.left_out else []
 
 
 def hard_iron_text(calibration: Calibration) -> str:

@@ -13,7 +13,7 @@ import typer
 from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.online_session import EndReason, Session, judged_online
 from magyc_gtsam.cli.online_text import change_sentence, counted_from, first_stamp, left_out_sentence, line, panel
-from magyc_gtsam.cli.terminal import complain, concluded, console, show, show_calibration
+from magyc_gtsam.cli.terminal import complain, concluded, console, show, show_calibration, show_left_out
 from magyc_gtsam.foreign_text import printable
 from magyc_gtsam.live.health import StreamMonitor
 from magyc_gtsam.live.picture import Picture
@@ -129,7 +129,9 @@ class PlainView(QuietView):
         )
         if verdict.trusted:
             show_calibration(counted_from(calibration, first_stamp(self.online)))
-        show(*left_out_sentence(self.online.progress.left_out))
+        else:
+            show_left_out(calibration)
+        show(*left_out_sentence(self.online.progress))
         show(*(change_sentence(change, self.online) for change in self.online.changes))
         files = {"calibration": session.output, "state": session.state}
         written = (f"{what}: {file}" for what, file in files.items() if file not in {None, *session.unwritten})

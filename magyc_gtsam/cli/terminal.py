@@ -202,6 +202,11 @@ def show_calibration(calibration: Calibration) -> None:
     if disturbed:
         longest = ", ".join(stretch((start, end)) for start, end in sorted(disturbed[:5]))
         show(f"disturbed, with reduced weight: {longest}{' and more' if len(disturbed) > 5 else ''}")
+    show_left_out(calibration)
+
+
+def show_left_out(calibration: Calibration) -> None:
+    """Print the stretches and samples that were left out because a sensor was faulty."""
     show(*(f"left out: {where}" for where in calibration.diagnostics.get("left_out", ())))
 
 

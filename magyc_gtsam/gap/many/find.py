@@ -286,5 +286,5 @@ def _calibration(log: OneLog, complete: bool) -> Calibration:
     why = "" if log.clipped is None else why_clipped(log.clipped, found, complete)
     if log.clipped is not None and why:
         found = doubted(found, doubt_of_clipped(log.clipped, why))
-    found = noted(found, recordings=[fingerprint(log.recording)])
+    found = noted(found, recordings=[fingerprint(log.recording)], left_out=list(log.left_out))
     return as_mounted(found, log.recording)

@@ -93,6 +93,7 @@ class OneLog:
         variation: of the field of the place, if that is in the model.
         discrete: effects that were detected and corrected before the estimation.
         clipped: samples at the magnetometer's full scale, too many to be harmless.
+        left_out: sentences on the rows that faulty sensors cost.
     """
 
     name: str
@@ -102,6 +103,7 @@ class OneLog:
     variation: FieldVariation | None = None
     discrete: tuple[NoiseScore, ...] = ()
     clipped: ClippedField | None = None
+    left_out: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str], name: str) -> OneLog:
@@ -128,7 +130,9 @@ class OneLog:
             start = root(problem, replace(base.model, noise=short_term))
         except TooSmoothError:
             raise MagycError(ready.too_smooth()[0]) from None
-        return cls(name, data, short_term, start, discrete=discrete, clipped=ready.usable.clipped)
+        left_out = (*ready.usable.left_out, *ready.left_out)
+        clipped = ready.usable.clipped
+        return cls(name, data, short_term, start, discrete=discrete, clipped=clipped, left_out=left_out)
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
         """Return the log with one more effect in the model, after a joint refit.
