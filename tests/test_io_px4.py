@@ -137,6 +137,35 @@ def test_a_correction_for_the_motors_that_a_raw_message_lacks_is_cleared() -> No
     assert sum("CAL_MAG0_XCOMP\t" in line for line in text.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("parameters", "why"),
+    [
+        ({"TC_M_ENABLE": 1, "TC_M2_ID": 77, "TC_M2_X1_0": 1e-3}, "TC_M2_* corrects the sensor already"),
+        ({"TC_M0_ID": 5}, "TC_M0_* are those of another sensor (5)"),
+    ],
+)
+def test_a_thermal_correction_that_is_there_is_not_replaced(parameters: dict[str, float], why: str) -> None:
+    """What was found is the rest of it, or the parameters are another sensor's."""
+    place = undo("MAG", RAW, STAMP, Parameters(MAG | parameters), 77, corrected=False, rotated=False)[2]
+    warm = Term("temperature-hard-iron", np.array([1e-7, 0, 0]), np.eye(3) * 1e-18, {"reference_0": 20.0})
+    text = export("px4", np.eye(3), np.zeros(3), terms=(warm,), autopilot=Autopilot("px4", place))
+    assert f"# LIMIT: the magnetometer's dependence on temperature is not included: {why}" in text
+    assert not [line for line in text.splitlines() if line.startswith("1\t1\tTC_")]
+    free = undo("MAG", RAW, STAMP, Parameters(MAG | {"TC_M0_ID": 77}), 77, corrected=False, rotated=False)[2]
+    text = export("px4", np.eye(3), np.zeros(3), terms=(warm,), autopilot=Autopilot("px4", free))
+    assert "TC_M0_X1_1\t-0.00100000" in text  # in the sensor's axes
+
+
+def test_a_compass_inside_the_autopilot_is_given_no_rotation() -> None:
+    """PX4 turns it with its board, whatever CAL_MAGn_ROT is."""
+    inside = Parameters(MAG | {"CAL_MAG0_ROT": -1, "SENS_BOARD_ROT": 6})
+    place = undo("MAG", RAW, STAMP, inside, 77, corrected=False, rotated=False)[2]
+    skew = Term("misalignment", np.array([0.0, 0.0, 0.1]), np.eye(3) * 1e-9)
+    text = export("px4", np.eye(3), np.zeros(3), terms=(skew,), autopilot=Autopilot("px4", place))
+    assert "LIMIT: a fixed rotation of 5.73 deg is left out, since the compass is inside the autopilot" in text
+    assert "CAL_MAG0_ROT\t" not in text
+
+
 def test_which_calibration_must_be_known() -> None:
     two = Parameters(MAG | {"CAL_MAG1_ID": 78})
 

@@ -63,6 +63,11 @@ def in_places(correction: Correction, magnetometer: Place, gyroscope: Place) -> 
         angle = degrees(c.rotation)
         remarks.append(f"# LIMIT: a fixed rotation of {angle:.2f} deg is left out, since {magnetometer.fixed}.")
         c = replace(c, rotation=None)
+    for sensor, place, slope in (("magnetometer", magnetometer, c.thermal), ("gyroscope", gyroscope, warming)):
+        if slope is not None and place.thermal:
+            remarks.append(f"# LIMIT: the {sensor}'s dependence on temperature is not included: {place.thermal}.")
+    warming = None if gyroscope.thermal else warming
+    c = replace(c, thermal=None) if magnetometer.thermal else c
     placed = replace(
         c,
         matrix=own.T @ c.matrix @ own,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.px4_thermal import in_the_way
 from magyc_gtsam.recording.autopilot import Place
 
 Array = NDArray[np.float64]
@@ -96,6 +97,11 @@ def undo(
     index, _ = _index(kind, last, device, corrected)
     rotation = _rotation(f"CAL_{kind}{index}_", last)
     place = replace(_place(kind, last, device, index), axes=tuple(map(tuple, rotation.tolist())))
+    place = replace(
+        place, thermal=in_the_way("TC_M" if kind == "MAG" else "TC_G", parameters.initial, device, place.slot)
+    )
+    if kind == "MAG" and index is not None and last.get(f"CAL_MAG{index}_ROT") == -1:
+        place = replace(place, fixed="the compass is inside the autopilot, which turns it only with its board")
     if kind == "MAG" and not corrected and last.get("CAL_MAG_COMP_TYP", 0):
         names = (f"CAL_MAG{place.slot}_{axis}COMP" for axis in "XYZ")
         place = replace(place, to_clear=tuple(name for name in names if last.get(name, 0.0)))

@@ -39,15 +39,7 @@ def corrected(
     Raises:
         MagycError: PX4 corrects the values, and the log has no temperature of the sensor.
     """
-    if not parameters.get(f"{kind}_ENABLE", 0) or device is None:
-        return raw, ""
-    found = next((n for n in _SETS if int(parameters.get(f"{kind}{n}_ID", 0)) == device), None)
-    if found is None:
-        return raw, ""
-    prefix = f"{kind}{found}_"
-    slopes = np.array(
-        [[parameters.get(f"{prefix}X{degree}_{axis}", 0.0) for axis in range(3)] for degree in range(_DEGREE + 1)]
-    )
+    prefix, slopes = _in_force(kind, parameters, device)
     if not slopes.any():
         return raw, ""
     if temperature is None:
@@ -60,3 +52,30 @@ def corrected(
     warm = np.clip(np.asarray(temperature, dtype=np.float64), least, most) - reference
     offset = np.vander(warm, _DEGREE + 1, increasing=True) @ slopes
     return raw - offset, f"{prefix}*: the thermal correction of PX4 is subtracted, and stays"
+
+
+def in_the_way(
+    kind: Literal["TC_M", "TC_G"], parameters: Mapping[str, float], device: int | None, slot: int
+) -> str:
+    """Return why a thermal correction cannot be written to the parameters of a slot; "" if it can.
+
+    Args:
+        kind, parameters, device: as of `corrected`.
+        slot: number of the parameters.
+    """
+    prefix, slopes = _in_force(kind, parameters, device)
+    if slopes.any():
+        return f"{prefix}* corrects the sensor already, and would be replaced"
+    other = int(parameters.get(f"{kind}{slot}_ID", 0))
+    return f"{kind}{slot}_* are those of another sensor ({other})" if other not in (0, device) else ""
+
+
+def _in_force(kind: str, parameters: Mapping[str, float], device: int | None) -> tuple[str, Array]:
+    """Return the beginning of the names of a sensor's correction, and its coefficients (4, 3); 0 without one."""
+    found = next((n for n in _SETS if device and int(parameters.get(f"{kind}{n}_ID", 0)) == device), None)
+    if found is None or not parameters.get(f"{kind}_ENABLE", 0):
+        return "", np.zeros((_DEGREE + 1, 3))
+    prefix = f"{kind}{found}_"
+    return prefix, np.array(
+        [[parameters.get(f"{prefix}X{degree}_{axis}", 0.0) for axis in range(3)] for degree in range(_DEGREE + 1)]
+    )

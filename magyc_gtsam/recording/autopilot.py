@@ -26,6 +26,7 @@ class Place:
         mounting: (3, 3), by which it turns the readings before it applies them; an export with a rotation includes it.
         custom: number of the custom rotation that ArduPilot can turn it by, from 1; 0 if the log does not tell.
         fixed: why the vehicle cannot turn it by parameters of its own; "" if it can, or the log does not tell.
+        thermal: why it cannot be given a correction for its temperature; "" if it can, or the log does not tell.
         to_clear: names of parameters that correct the sensor on the vehicle, and not in the recording: an export sets
             them to 0, if it has no value for them.
         problem: why no parameters can be written; "" if they can.
@@ -40,6 +41,7 @@ class Place:
     mounting: tuple[tuple[float, ...], ...] = _UNTURNED
     custom: int = 0
     fixed: str = ""
+    thermal: str = ""
     to_clear: tuple[str, ...] = ()
     problem: str = ""
 
@@ -47,7 +49,7 @@ class Place:
         whole = [self.slot] if self.device is None else [self.slot, self.device]
         if any(not isinstance(n, int) or isinstance(n, bool) or not 0 <= n < _LARGEST for n in whole):
             raise MagycError(f"autopilot: slot and device must be whole numbers from 0, got {whole!r:.60}")
-        for name in ("problem", "fixed"):
+        for name in ("problem", "fixed", "thermal"):
             if not isinstance(getattr(self, name), str):
                 raise MagycError(f"autopilot: {name} must be a text, got {getattr(self, name)!r:.60}")
         if self.custom not in (0, 1, 2):
