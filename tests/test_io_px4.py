@@ -153,7 +153,7 @@ def test_a_thermal_correction_that_is_there_is_not_replaced(parameters: dict[str
     assert not [line for line in text.splitlines() if line.startswith("1\t1\tTC_")]
     free = undo("MAG", RAW, STAMP, Parameters(MAG | {"TC_M0_ID": 77}), 77, corrected=False, rotated=False)[2]
     text = export("px4", np.eye(3), np.zeros(3), terms=(warm,), autopilot=Autopilot("px4", free))
-    assert "TC_M0_X1_1\t-0.00100000" in text  # in the sensor's axes
+    assert "TC_M0_X1_1\t0.00100000" in text  # in the sensor's axes
 
 
 def test_a_compass_inside_the_autopilot_is_given_no_rotation() -> None:
