@@ -76,6 +76,9 @@ def test_offsets_learned_in_flight_and_parameters_that_change() -> None:
     raw, _, notes = undo(logged, cut, MOTOR, ONE_SET, [PARAMETERS], 0)
     np.testing.assert_allclose(raw, RAW, atol=1.0)
     assert any("20 offsets differ from the parameters" in n for n in notes)
+    cut[30:] = np.trunc(OFFSET)  # back at the same whole number, with another fraction
+    assert any("20 offsets differ" in n for n in undo(logged, cut, MOTOR, ONE_SET, [PARAMETERS], 0)[2])
+    cut[30:] = cut[20]
     later = PARAMETERS | {f"COMPASS_OFS_{a}": learned[k] for k, a in enumerate("XYZ")}
     raw, _, _ = undo(logged, cut, MOTOR, np.repeat([0, 1], 20), [PARAMETERS, later], 0)
     np.testing.assert_allclose(raw, RAW, atol=1e-9)

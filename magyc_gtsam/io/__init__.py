@@ -52,6 +52,7 @@ SUFFIXES = {  # of the logs that folders are searched for
     ".bfl": "blackbox",
 }
 _JSON = re.compile(rb"\s*(?:\{|\[\s*[\[{])")
+_DATAFLASH_TEXT = re.compile(rb"\s*FMT\s*,\s*\d+\s*,\s*\d+\s*,\s*\w+\s*,")
 _WITHOUT_MAGIC = ("csv_log", "tlog")
 _KNOWN = (
     "MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag and .db3, MAVLink .tlog, Blackbox, a phone app's .zip"
@@ -196,6 +197,8 @@ def _reader(path: Path) -> ModuleType:
         raise MagycError(f"{path}: is empty")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise MagycError(f"{path}: text in UTF-16; save it as UTF-8")
+    if _DATAFLASH_TEXT.match(head):
+        raise MagycError(f"{path}: an ArduPilot log as text; read the .BIN from which it was converted")
     if _JSON.match(head):
         raise MagycError(
             f"{path}: JSON is not a format of logs; write a text table, or pass JSON lines to `magyc-gtsam online -`"

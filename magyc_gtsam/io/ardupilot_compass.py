@@ -57,7 +57,8 @@ def undo(
         matrix, scale = _matrix(current, suffix), _scale(current, suffix)
         exact = np.array([current[f"COMPASS_OFS{suffix}_{axis}"] for axis in "XYZ"])
         # The parameter has the digits that were truncated, unless ArduPilot learned the offset in flight.
-        fits = (np.abs(exact - offset[rows]) < 1).all(axis=1)
+        # Offsets that are learned may come back to the same whole number, with another fraction.
+        fits = np.logical_and.accumulate((np.trunc(exact) == np.trunc(offset[rows])).all(axis=1))
         known[rows] = fits[:, None]
         added = np.where(fits[:, None], exact, _not_truncated(offset[rows]))
         if "COMPASS_PMOT_EN" in current or f"COMPASS_SCALE{suffix}" in current:

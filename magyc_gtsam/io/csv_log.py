@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.io.units import factor, lookup
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.applied import CALIBRATED
+from magyc_gtsam.recording.autopilot import Autopilot, without_parameters
 from magyc_gtsam.recording.checks import NO_GYROSCOPE
 
 Array = NDArray[np.float64]
@@ -38,6 +40,11 @@ _HIGHEST_RATE = 1e6  # Hz
 OPTIONS = ("time", "time_unit", "rate", "columns")
 _COARSE = "give the rate in Hz in place of the stamps (rate=), or name another column of time stamps (time=)"
 _SENSORS = ("magnetic_field", "angular_rate", "acceleration", "attitude")
+_OF_ARDUPILOT = re.compile(r"\bMAG\d?(\[\d+\])?\.MagX$")
+_OF_PX4 = "magnetometer_ga"
+_CORRECTED = (
+    "the columns are of {}, which were corrected in flight by parameters that a table does not tell; read the {}"
+)
 # Likely names by the number of columns, proposed for a file without a header.
 _USUAL_NAMES = {3: "mx,my,mz", 4: "time,mx,my,mz", 6: "mx,my,mz,gx,gy,gz"}
 
@@ -86,10 +93,22 @@ def read(path: Path, request: Request) -> Recording:
         request,
         name=path.stem,
         notes=tuple(notes),
+        autopilot=_autopilot(table, groups["magnetic_field"]),
         repeated=_COARSE,
     )
     request.report(1.0)
     return recording
+
+
+def _autopilot(table: Table, magnetometer: SensorColumns) -> Autopilot | None:
+    """Return that no parameters can be exported, if the columns are those of an autopilot's corrected field."""
+    written = [column.written for column in magnetometer.columns]
+    beside = {column.written for column in table.columns}
+    if any(_OF_ARDUPILOT.search(name) for name in written) or ("MagX" in written and "OfsX" in beside):
+        return without_parameters(_CORRECTED.format("ArduPilot's MAG messages", ".BIN"))
+    if any(_OF_PX4 in name for name in written):
+        return without_parameters(_CORRECTED.format("PX4's magnetometer_ga", ".ulg"))
+    return None
 
 
 def _check(options: Mapping[str, Any]) -> None:
