@@ -91,3 +91,17 @@ def test_a_field_that_sweeps_more_than_turning_is_no_lack_of_motion(size: float,
     reason = judged(failed, recording).reason
     assert ("a magnet came near" in reason) is expected
     assert len(reason.split()) <= MOST_WORDS
+
+
+@pytest.mark.parametrize("seed", range(3, 6))
+def test_a_jump_too_small_to_be_dated_is_not_called_too_little_motion(seed: int) -> None:
+    """The motion is wide; the misfit makes the sigmas seven times as large, and `find_gap` dates the jump."""
+    recording = mg.simulate("wide", 300, seed=seed).recording
+    step = np.where(recording.time[:, None] >= 150.0, [5e-6, 0.0, -8e-6], 0.0)
+    found = mg.calibrate(replace(recording, magnetic_field=recording.magnetic_field + step))
+    assert not found.trusted
+    verdict = judged(found, recording)
+    assert verdict.cause == "the field or the instrument changed, or something else is missing in the model"
+    assert verdict.action == "run `mg.find_gap`, or choose an interval (start=, end=)"
+    still = judged(mg.calibrate(mg.simulate((3, 3, 20), 60, seed=seed).recording))
+    assert still.cause.startswith("too little motion")
