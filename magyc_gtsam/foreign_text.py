@@ -33,6 +33,11 @@ def listed(names: Collection[object], separator: str = ", ") -> str:
     return separator.join(shown) + (f" and {more} more" if more else "")
 
 
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits, and without an exponent from 100 to 100,000: "160", not "1.6e+02"."""
+    return f"{value:.0f}" if 99.5 <= abs(value) < 1e5 else f"{value:.2g}"
+
+
 def counted(number: int, what: str) -> str:
     """Return a number and its noun, as "1 log" or "2 logs"."""
     return f"{number} {what}{'' if number == 1 else 's'}"

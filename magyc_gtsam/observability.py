@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from magyc_gtsam.foreign_text import two_digits
 from magyc_gtsam.level_turn import LevelTurn, MisalignmentError, level_turn
 from magyc_gtsam.recording import Array, Mask, Recording
 from magyc_gtsam.recording.checks import EARTH_FIELD
@@ -51,7 +52,7 @@ class Weakness:
         limit = f"{self.limit:.2g}"
         if self.sigma > _UNDETERMINED * self.limit:
             return f"{self.what} is not determined (limit ±{limit} {self.unit}): {self.remedy}"
-        return f"{self.what} ±{self.sigma:.2g} {self.unit} (limit {limit}): {self.remedy}"
+        return f"{self.what} ±{two_digits(self.sigma)} {self.unit} (limit {limit}): {self.remedy}"
 
 
 @dataclass(frozen=True)

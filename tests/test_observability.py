@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Recording, calibrate, simulate
+from magyc_gtsam.foreign_text import two_digits
 from magyc_gtsam.observability import (
     GYRO_BIAS_LIMIT,
     HARD_IRON_LIMIT,
@@ -162,3 +163,10 @@ def test_a_deviation_beyond_all_measure_is_said_in_words():
         Weakness("soft iron along x", 7.25, 5.0, "%", "turn").sentence
         == "soft iron along x ±7.2 % (limit 5): turn"
     )
+
+
+def test_a_large_number_has_no_exponent() -> None:
+    assert [two_digits(value) for value in (0.0123, 9.96, 99.4, 99.6, 163.0, -1234.0, 2e7)] == [
+        "0.012", "10", "99", "100", "163", "-1234", "2e+07",
+    ]  # fmt: skip
+    assert "±163 µT (limit 2.5)" in Weakness("hard iron along z", 163.0, 2.5, "µT", "turn").sentence

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magyc_gtsam.foreign_text import MOST_WORDS, clauses
+from magyc_gtsam.foreign_text import MOST_WORDS, clauses, two_digits
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.outcome.agreement import Metrics
 from magyc_gtsam.gap.outcome.described import sentences
@@ -170,7 +170,7 @@ def _sizes(alike: Sequence[Effect]) -> str:
     """Return the lengths of the values of effects of one label in brackets; "" without a unit."""
     if not alike[0].unit:
         return ""
-    return f" ({', '.join(f'{float(np.linalg.norm(each.value)):.2g}' for each in alike)} {alike[0].unit})"
+    return f" ({', '.join(two_digits(float(np.linalg.norm(each.value))) for each in alike)} {alike[0].unit})"
 
 
 def _details(sentences: Sequence[str], *shown: str) -> tuple[str, ...]:

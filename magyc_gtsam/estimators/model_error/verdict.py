@@ -10,6 +10,7 @@ from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.model_error import ModelError
 from magyc_gtsam.factors.chain.chain_values import DELAY, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.foreign_text import two_digits
 from magyc_gtsam.observability import Observability
 
 _MOST = 2.0  # multiple of the observability limits that noise and model error together may reach
@@ -34,7 +35,7 @@ def reason(error: ModelError, probable: Observability, noise: Observability) -> 
     found = [component for component in error.worst(rows) if component in error.components][:_NAMED]
     first = found[0] if found else None
     place = "what the model does not explain" if first is None else f"{first.sentence}, which"
-    moved = f"by ±{worst.sigma:.2g}" if worst.sigma < 100 * worst.limit else "without bounds, in"
+    moved = f"by ±{two_digits(worst.sigma)}" if worst.sigma < 100 * worst.limit else "without bounds, in"
     remedy = "record where the field is even" if first is not None and first.of_place else worst.remedy
     sentence = (
         f"{place} may move the {worst.what} {moved} {worst.unit} (limit {_MOST * worst.limit:.2g}): {remedy}"
@@ -57,8 +58,8 @@ def remark(error: ModelError, noise: Array, whole: Array) -> str:
     if rest > _MENTIONED * np.sqrt(own):
         place = _sentence(error.worst(_ROWS["hard"])[0], error)
         parts.append(
-            f"hard iron ±{1e6 * np.sqrt(total):.2g} µT: sensor noise {1e6 * np.sqrt(own):.2g} µT, what the model does "
-            f"not explain {1e6 * rest:.2g} µT ({place})"
+            f"hard iron ±{two_digits(1e6 * np.sqrt(total))} µT: sensor noise {two_digits(1e6 * np.sqrt(own))} µT, what "
+            f"the model does not explain {two_digits(1e6 * rest)} µT ({place})"
         )
     return "; ".join(filter(None, [*parts, variation(error)]))
 
