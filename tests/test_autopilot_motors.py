@@ -198,3 +198,37 @@ def test_the_name_of_a_channel_of_another_log_tells_its_unit(name: str, per_unit
     assert f"It was found with the channel {name}." in text
     field = by_ardupilot(text, RAW, THROTTLE)
     np.testing.assert_allclose(field, RECORDING.magnetic_field * 1e7, atol=1e-3)
+
+
+@pytest.mark.parametrize("compass", range(2))
+def test_px4_corrects_by_the_own_thermometer_of_a_compass(tmp_path: Path, compass: int) -> None:
+    """Of the second compass the first's was read, and written as its own."""
+    pytest.importorskip("pyulog")
+    raw = (RECORDING.magnetic_field + (WARM - 30)[:, None] * np.array([3e-7, -2e-7, 4e-7])) * 1e4
+    at = [round((t + 10) * 1e6) for t in TIME]
+    own, others = WARM, 50 - 0.5 * WARM
+    messages = [
+        ("sensor_mag", k, [(t, 7 + k, *m, warm) for t, m, warm in zip(at, raw, there, strict=True)])
+        for k, there in enumerate((own, others)[:: -1 if compass else 1])
+    ]
+    messages.append(("sensor_gyro", 0, [(t, 9, *w) for t, w in zip(at, RECORDING.angular_rate, strict=True)]))
+    fields = {"timestamp": "Q", "device_id": "I", "x": "f", "y": "f", "z": "f", "temperature": "f"}
+    parameters = {"CAL_MAG0_ID": 7, "CAL_MAG1_ID": 8, "CAL_GYRO0_ID": 9}
+    path = ulog(tmp_path / "a.ulg", parameters, messages, {"sensor_mag": fields})
+    recording = read(path, magnetic_field=f"sensor_mag[{compass}]")
+    np.testing.assert_allclose(recording.channels["sensor_mag.temperature"], own, atol=1e-5)
+    calibration = named(recording, "temperature-hard-iron")
+    values = written(calibration.export("px4"))
+    beyond = own - values[f"TC_M{compass}_TREF"]
+    slopes = np.array([values[f"TC_M{compass}_X1_{k}"] for k in range(3)])
+    offset, scale, (xy, xz, yz) = (
+        np.array([values[f"CAL_MAG{compass}_{axis}{name}"] for axis in "XYZ"])
+        for name in ("OFF", "SCALE", "ODIAG")
+    )
+    matrix = np.diag(scale) + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+    assert variation((raw - beyond[:, None] * slopes - offset) @ matrix) < 1.1 * STILL
+    term = replace(calibration.terms[0], channels=("vehicle_air_data.baro_temp_celcius",))
+    text = replace(calibration, terms=(term,)).export("px4")
+    assert (
+        "not included: temperature-hard-iron (vehicle_air_data.baro_temp_celcius is not the magnetometer's" in text
+    )

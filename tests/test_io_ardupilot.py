@@ -242,6 +242,15 @@ def flight() -> list[tuple[str, tuple]]:
     return messages
 
 
+def test_inertial_messages_without_rates(tmp_path: Path) -> None:
+    messages = [(name, values if name != "IMU" else (*values[:2], *values[5:])) for name, values in flight()]
+    layout = {"IMU": (66, "QBfff", "TimeUS,I,AccX,AccY,AccZ")}
+    back = read(dataflash(tmp_path / "a.BIN", messages, layout))
+    assert back.angular_rate is None
+    assert "no angular_rate: IMU[0] has no GyrX, GyrY, GyrZ" in back.notes
+    assert back.acceleration is not None
+
+
 # Of each compass of the log, by priority: iron beside the vehicle's in milligauss, and offset in flight.
 BESIDE, IN_FLIGHT = ((0, 0, 0), (100, -200, 50)), ((-30, 50, 20), (100, 0, -70))
 DRIVERS = ("2", "")  # of its parameters

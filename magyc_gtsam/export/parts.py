@@ -11,13 +11,25 @@ import numpy as np
 from magyc_gtsam.export.ardupilot import motors_of
 from magyc_gtsam.export.correction import Correction, degrees
 from magyc_gtsam.export.power import power_of
+from magyc_gtsam.factors.effects.changes import referenced
 from magyc_gtsam.factors.effects.corrections import corrected_field
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording.autopilot import Autopilot
 
 _SMALLEST_ROTATION = 1e-6  # rad; less is rounding
+_THERMAL = {"temperature-hard-iron": "magnetometer", "temperature-gyro": "gyroscope"}  # the sensor concerned
 _ROTATIONS = ("misalignment", "axis-order")  # terms that turn the field to the gyroscope's axes
+
+
+def _not_own(term: Term, autopilot: Autopilot | None) -> str:
+    """Return why a target's correction, which follows the sensor's own thermometer, is none of a term; "" if it is."""
+    if autopilot is None or not term.channels:
+        return ""
+    channel, sensor = term.channels[referenced(term.channels, term.setting)[0]], _THERMAL[term.name]
+    own = autopilot.thermometers.get(channel) == sensor
+    return "" if own else f"{shortened(channel)} is not the {sensor}'s own thermometer"
 
 
 def with_terms(
@@ -62,6 +74,8 @@ def with_terms(
                 continue
             found |= {"motor": term.value * power.unit, "power": power}
             offset = offset - term.value * sum(term.setting.values())  # at most one reference: it has one channel
+        elif term.name in _THERMAL and steady and (why := _not_own(term, autopilot)):
+            missing.append(f"{term.name} ({why})")
         elif term.name == "temperature-hard-iron" and steady:
             found |= {"thermal": term.value, "reference": term.setting.get("reference_0", 0.0)}
         elif term.name == "temperature-gyro" and steady:

@@ -49,6 +49,9 @@ def read(path: Path, request: Request) -> Recording:
             continue
         scale = request.scale(sensor, notes=notes)
         samples = log.samples[key]
+        if absent := [name for name in _AXES[sensor][1] if name not in samples.columns]:
+            notes.append(f"no {sensor}: {samples.name} has no {', '.join(absent)}")
+            continue
         stream = samples.stream(*_AXES[sensor][1])
         if sensor == "angular_rate":
             raw, note, gyroscope_place = ardupilot_gyroscope.undo(
@@ -79,6 +82,7 @@ def read(path: Path, request: Request) -> Recording:
             place,
             gyroscope_place,
             _powers(log, channels),
+            {},
             *ardupilot_compass.motors_of(log.parameters[-1], place),
             offset_sigma=sigma,
         ),

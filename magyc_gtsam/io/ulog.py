@@ -13,7 +13,7 @@ from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io import px4_thermal
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.px4_calibration import Parameters, motors_of, undo
-from magyc_gtsam.io.px4_channels import CHANNELS, channels_of, powers_of
+from magyc_gtsam.io.px4_channels import CHANNELS, channels_of, own_of, powers_of, thermometers_of
 from magyc_gtsam.io.px4_messages import Array, Message, device_of, load
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
@@ -59,19 +59,26 @@ def read(path: Path, request: Request) -> Recording:
         message, value = acceleration
         scale = request.scale("acceleration", notes=notes)
         sensors["acceleration"] = Stream(message.label, message.stamp * 1000, value * scale)
+    own = {"magnetometer": own_of(messages, "mag", magnetometer.name)}
+    own |= {} if gyroscope is None else {"gyroscope": own_of(messages, "gyro", gyroscope.name)}
     attitude = _attitude(messages, request, notes)
     if attitude is not None:
         sensors["attitude"] = attitude
     recording = assemble(
         sensors,
-        channels_of(messages, request),
+        channels_of(messages, request, [message for message in own.values() if message is not None]),
         request,
         name=path.stem,
         notes=tuple(notes),
         angular_rate_is=mean,
         attitude_is="estimate",
         autopilot=Autopilot(
-            "px4", place, gyroscope_place, powers_of(messages, channels), *motors_of(parameters, place)
+            "px4",
+            place,
+            gyroscope_place,
+            powers_of(messages, channels),
+            thermometers_of(messages, channels, own),
+            *motors_of(parameters, place),
         ),
     )
     request.report(1.0)

@@ -80,6 +80,7 @@ class Autopilot:
         magnetometer, gyroscope: the place of each.
         powers: {channel of the log: (type, unit)} of what the firmware can multiply a compass's motor parameters by:
             the value of COMPASS_MOTCT or CAL_MAG_COMP_TYP for it, and the value of the channel at 1 A or full throttle.
+        thermometers: {channel of the log: "magnetometer" or "gyroscope", whose own it is, or ""}.
         compensation: the value of COMPASS_MOTCT or CAL_MAG_COMP_TYP at the end of the log, of all compasses.
         others: names of the motor parameters of the vehicle's other compasses that are set.
         offset_sigma: (3,) T, of the mean offset that was taken out of the readings of the recording.
@@ -89,6 +90,7 @@ class Autopilot:
     magnetometer: Place = field(default_factory=Place)
     gyroscope: Place = field(default_factory=Place)
     powers: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    thermometers: Mapping[str, str] = field(default_factory=dict)
     compensation: int = 0
     others: tuple[str, ...] = ()
     offset_sigma: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -103,6 +105,7 @@ class Autopilot:
             "firmware": self.firmware,
             **places,
             "powers": {name: [int(kind), float(unit)] for name, (kind, unit) in self.powers.items()},
+            "thermometers": dict(self.thermometers),
             "compensation": self.compensation,
             "others": list(self.others),
             "offset_sigma": list(self.offset_sigma),
@@ -126,6 +129,7 @@ class Autopilot:
                 Place(**data["magnetometer"]),
                 Place(**data["gyroscope"]),
                 powers,
+                {str(name): str(sensor) for name, sensor in data.get("thermometers", {}).items()},
                 int(data.get("compensation", 0)),
                 tuple(str(name) for name in data.get("others", ())),
                 tuple(float(sigma) for sigma in data.get("offset_sigma", (0.0, 0.0, 0.0))),
