@@ -229,6 +229,15 @@ def test_the_field_of_a_place(logs: Path, tmp_path: Path) -> None:
     assert strength == pytest.approx(23.0e-6, rel=0.02)  # the weak field of Santiago
 
 
+def test_a_field_strength_in_tesla_is_told_by_its_option(logs: Path, tmp_path: Path) -> None:
+    told = refused(run("calibrate", logs / "dive.mcap", "--field-strength", "50e-6", cwd=tmp_path))
+    assert (
+        "--field-strength: must be that of the Earth, 20 to 70 µT (8 to 175 µT is accepted), got 5e-05 µT" in told
+    )
+    assert told.endswith("is that tesla? give 50\n")
+    refused(run("simulate", "wide", "-o", "x.mcap", "--field-strength", "nan", cwd=tmp_path))
+
+
 def test_an_earlier_calibration_is_a_prior(logs: Path, tmp_path: Path) -> None:
     known = ("--misalignment", 0, "--gyroscope-scale", 1)
     run("calibrate", logs / "dive.mcap", "-o", "first", "-q", "--start", 61, *known, cwd=tmp_path)

@@ -15,6 +15,26 @@ if TYPE_CHECKING:
     from magyc_gtsam.world_field import WorldField
 
 
+def tesla_of(field_strength: float) -> float:
+    """Return the field strength of an option, µT, in T.
+
+    Raises:
+        MagycError: it is not that of the Earth's field.
+    """
+    from magyc_gtsam.calibration.limits import PLAUSIBLE_FIELD
+    from magyc_gtsam.factors.errors import MagycError
+
+    low, high = (limit * 1e6 for limit in PLAUSIBLE_FIELD)
+    if low <= field_strength <= high:
+        return field_strength * 1e-6
+    likely = field_strength * 1e6
+    remedy = f"; is that tesla? give {likely:g}" if low <= likely <= high else ""
+    raise MagycError(
+        f"--field-strength: must be that of the Earth, 20 to 70 µT ({low:g} to {high:g} µT is accepted), got "
+        f"{field_strength:g} µT{remedy}"
+    )
+
+
 @dataclass(frozen=True)
 class Scale:
     """The true field strength, or location and date for the World Magnetic Model."""
@@ -55,11 +75,7 @@ class Scale:
                     raise MagycError(f"{name}: has no effect without a location; give --location LAT LON too")
             if self.field_strength is None:
                 return None
-            from magyc_gtsam.estimators.gauge import check_field_strength
-
-            strength = self.field_strength * 1e-6
-            check_field_strength(strength)
-            return strength
+            return tesla_of(self.field_strength)
         if self.field_strength is not None:
             raise MagycError(
                 "--field-strength and --location: both set the strength of the field; give one of them"

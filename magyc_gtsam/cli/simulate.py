@@ -68,7 +68,7 @@ def run(
     """
     import numpy as np
 
-    from magyc_gtsam.estimators.gauge import check_field_strength
+    from magyc_gtsam.cli.known import tesla_of
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.io import write_mcap
     from magyc_gtsam.simulation import FIELD, simulate
@@ -95,8 +95,7 @@ def run(
         "delay": delay * 1e-3,
     }
     if field_strength is not None:
-        check_field_strength(field_strength * 1e-6)
-        sensor["field"] = FIELD * (field_strength * 1e-6 / np.linalg.norm(FIELD))
+        sensor["field"] = FIELD * (tesla_of(field_strength) / np.linalg.norm(FIELD))
     if hard_iron is not None:
         sensor["hard_iron"] = np.multiply(hard_iron, 1e-6)
     if gyroscope_bias is not None:
