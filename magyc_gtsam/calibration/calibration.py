@@ -110,6 +110,8 @@ class Calibration:
                 which a dated term was found (a jump counts as set in, others are left out), or lacks a channel that
                 a term follows for some time.
         """
+        if self.terms:
+            check_axes(magnetic_field, self.configuration)
         held, notes = on_recording(self, magnetic_field)
         field: Array = held._corrected(magnetic_field, signals)
         warn_of(notes)
@@ -130,7 +132,6 @@ class Calibration:
         at = as_signals("magnetic_field", len(rows), given, self.terms)
         if not self.terms:
             return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
-        check_axes(magnetic_field, self.configuration)
         if at.rate is not None and self.gyro_bias is not None:
             at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
         return corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at).T.reshape(m.shape)
