@@ -155,7 +155,10 @@ def test_what_does_nothing_is_refused(
         (["info", DIVE, "--strip"], "--strip: has no effect without --json"),
         (["online", DIVE, "--picture", "1"], "--picture: has no effect without --json"),
         (["export", "any.yaml", "px4", "--per-motor"], "--per-motor: has no effect without the target ardupilot"),
-        (["export", "any.yaml", "ardupilot", "--battery-voltage", "12"], "--battery-voltage: has no effect without"),
+        (
+            ["export", "any.yaml", "ardupilot", "--battery-voltage", "12"],
+            "--battery-voltage: has no effect without",
+        ),
     ):
         assert main(list(map(str, words))) == 2
         assert says in capsys.readouterr().err
@@ -176,6 +179,28 @@ def test_a_log_of_a_clock_that_was_not_set_is_not_the_first(
     assert "note: dive3.mcap has no date (its clock was not set" in told.err
     assert "2024-05-02" in told.out
     assert mg.Calibration.load(tmp_path / "out" / "next.yaml").hard_iron[0] == pytest.approx(6e-6, abs=1e-6)
+
+
+def test_a_history_says_that_the_last_log_is_not_in_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], in_this_process: None
+) -> None:
+    """Its iron jumped half-way; the next was predicted from the logs before it without a word."""
+    for k in range(3):
+        dive = mg.simulate("wide", 300 if k == 2 else 120, 10, seed=k).recording
+        step = np.where(dive.time[:, None] >= 150.0, [5e-6, 0.0, -8e-6], 0.0)
+        write_mcap(tmp_path / f"dive{k}.mcap", replace(dive, magnetic_field=dive.magnetic_field + step))
+    (tmp_path / "dive9.csv").write_text("time,nothing\n", encoding="utf-8")  # no log
+    assert main(["history", str(tmp_path), "-o", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert (
+        "note: dive2.mcap, the last log, is not used: the prediction holds if the iron did not change" in told.err
+    )
+    assert "; 2 more logs left out, the last one among them" in told.out.splitlines()[0]
+    (tmp_path / "dive2.mcap").unlink()
+    assert main(["history", str(tmp_path), "-o", str(tmp_path / "again")]) == 0
+    told = capsys.readouterr()
+    assert "the last log" not in told.err
+    assert told.out.splitlines()[0].endswith("; 1 more log left out")
 
 
 def test_a_history_of_no_usable_log_says_why_of_each(

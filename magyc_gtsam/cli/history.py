@@ -138,7 +138,7 @@ def _followed(
     unused = [factor for factor in factors if factor.mean is None]
     if quiet or json:  # the table has them
         notes += [f"{factor.name} is not used: {factor.problem}" for factor in unused]
-    for note in [*notes, *_order_given(history)]:
+    for note in [*notes, *_order_given(history), *_without_the_last(history)]:
         complain(f"note: {note}")
     if not verdict.trusted:
         remove_exports(folder)  # those of an earlier run
@@ -189,6 +189,16 @@ def _order_given(history: History) -> list[str]:
         f"{listed(undated)} {has} no date ({clock} not set, or counts from the start): all logs are taken in the order "
         "given, those of a folder in that of their names"
     ]
+
+
+def _without_the_last(history: History) -> list[str]:
+    """Return a note that the last log is not used, in which the iron may have changed."""
+    from magyc_gtsam.history.doubt import last_unused
+
+    last = last_unused(history.factors, history.times)
+    if last is None:
+        return []
+    return [f"{last.name}, the last log, is not used: the prediction holds if the iron did not change in it"]
 
 
 def _named_apart(names: Sequence[str], before: History) -> list[str]:

@@ -127,6 +127,19 @@ def _far_apart(factors: Sequence[LogFactor]) -> HistoryDoubt | None:
     return None
 
 
+def last_unused(factors: Sequence[LogFactor], times: Sequence[float] | None) -> LogFactor | None:
+    """Return the last log if it could be read and has no calibration to trust; None otherwise.
+
+    Args:
+        factors: of the history.
+        times: of each; None for their order.
+    """
+    when = range(len(factors)) if times is None else times
+    counted = [(at, k) for k, (at, factor) in enumerate(zip(when, factors, strict=True)) if factor.counts]
+    last = factors[max(counted)[1]]
+    return last if last.mean is None else None
+
+
 def _is_ahead(factor: LogFactor) -> bool:
     """Return whether a log is dated in the future."""
     return factor.time is not None and factor.time > time.time() + DAY

@@ -9,6 +9,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from magyc_gtsam.history import History
+from magyc_gtsam.history.doubt import last_unused
 from magyc_gtsam.history.log_factor import HARD_IRON
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart
@@ -113,6 +114,8 @@ def judged_history(history: History) -> Verdict:
     between = "otherwise " if jumps else ""
     excluded = len(history.contradictions)
     exclusion = f"; {excluded} more {'logs' if excluded > 1 else 'log'} left out" if excluded else ""
+    if last_unused(history.factors, history.times) is not None:
+        exclusion += ", the last one among them" if excluded > 1 else ", the last one"
     used = len(history) - excluded
     return Verdict(
         True,
