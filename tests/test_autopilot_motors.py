@@ -232,3 +232,19 @@ def test_px4_corrects_by_the_own_thermometer_of_a_compass(tmp_path: Path, compas
     assert (
         "not included: temperature-hard-iron (vehicle_air_data.baro_temp_celcius is not the magnetometer's" in text
     )
+
+
+def test_many_logs_have_one_quantity() -> None:
+    """A value in µT/A was shared with logs in which a throttle stood for the current."""
+    logs = []
+    for seed in (3, 4, 5):
+        recording = mg.simulate("wide", 120, seed=seed, rate=10).recording
+        throttle = np.clip(0.5 + 0.5 * np.sin(recording.time / (2 + seed)), 0, 1)
+        field = recording.magnetic_field + throttle[:, None] * OF_MOTORS
+        channel = {"throttle": throttle} if seed == 4 else {"current": 25 * throttle}
+        logs.append(replace(recording, magnetic_field=field, channels=channel, name=f"log {seed}"))
+    gap = mg.find_gap(logs, candidates=["motor-current"])
+    followed = {log: term.channels for log, found in gap.calibrations.items() for term in found.terms}
+    assert set(followed.values()) == {("current",)}
+    with_current = mg.find_gap([logs[0], logs[2]], candidates=["motor-current"])
+    assert [effect.name for effect in with_current.effects] == ["motor-current"]

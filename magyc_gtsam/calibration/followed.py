@@ -46,3 +46,19 @@ def followed(channels: Mapping[str, Array], terms: Sequence[Term]) -> dict[str, 
                 f"{listed(rows)} instead; the recording must have the same channels as the one that was calibrated"
             )
     return kept
+
+
+def of_one_quantity(channels: Mapping[str, Array], instead: dict[str, bool]) -> dict[str, Array]:
+    """Return the channels of one of several logs, without those that are another quantity than in the logs before.
+
+    Args:
+        channels: {name: (n,) or (n, k)}.
+        instead: {kind: whether something stands for it} in the logs before; completed by this one.
+    """
+    for kind, rows in rows_by_kind(channels).items():
+        instead.setdefault(kind, stands_in(rows[0], kind))
+    return {
+        name: value
+        for name, value in channels.items()
+        if all(stands_in(name, kind) == instead.get(kind, False) for kind in kinds(name))
+    }

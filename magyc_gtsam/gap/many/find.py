@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.calibration.followed import of_one_quantity
 from magyc_gtsam.calibration.noted import as_mounted, noted
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import MOMENTS, TERMS, nested, sudden
@@ -97,6 +98,7 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
     logs: list[OneLog] = []
     own: list[LogLeftOut] = []
     known: dict[str, str] = {}  # fingerprint → name
+    instead: dict[str, bool] = {}
     for k in range(len(recordings)):
         called = f"log {k + 1}"
         try:
@@ -116,6 +118,7 @@ def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: 
         if is_calibrated(recording):
             own.append(LogLeftOut(called, CALIBRATED))
             continue
+        recording = replace(recording, channels=of_one_quantity(recording.channels, instead))
         try:
             logs.append(OneLog.of(recording, names, called))
             known[samples] = called  # only now: a log that is left out hides none with the same samples
