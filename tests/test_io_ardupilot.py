@@ -251,6 +251,19 @@ def test_inertial_messages_without_rates(tmp_path: Path) -> None:
     assert back.acceleration is not None
 
 
+def test_the_thermometer_is_that_of_the_gyroscope(tmp_path: Path) -> None:
+    layout = {"IMU": (66, "QBfffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,T")}
+    messages = [m for m in flight() if m[0] != "IMU"]
+    for name, values in flight():
+        if name == "IMU":
+            messages += [("IMU", (values[0], k, *values[2:], 20.0 + 10 * k)) for k in range(2)]
+    path = dataflash(tmp_path / "a.BIN", messages, layout)
+    for k in range(2):
+        back = read(path, angular_rate=f"IMU[{k}]")
+        np.testing.assert_array_equal(back.channels["IMU.T"], 20.0 + 10 * k)
+    np.testing.assert_array_equal(read(path, channels=["IMU[1].T"]).channels["IMU[1].T"], 30.0)
+
+
 # Of each compass of the log, by priority: iron beside the vehicle's in milligauss, and offset in flight.
 BESIDE, IN_FLIGHT = ((0, 0, 0), (100, -200, 50)), ((-30, 50, 20), (100, 0, -70))
 DRIVERS = ("2", "")  # of its parameters

@@ -42,6 +42,7 @@ def read(path: Path, request: Request) -> Recording:
     notes = list(log.notes)
     compass, place, sigma = _magnetometer(log, request, notes)
     sensors, gyroscope_place = {"magnetic_field": compass}, Place()
+    inertial = _choose(log, "angular_rate", request, [])
     for sensor in ("angular_rate", "acceleration"):
         key = _choose(log, sensor, request, notes if sensor == "angular_rate" else [])
         if key is None:
@@ -72,7 +73,7 @@ def read(path: Path, request: Request) -> Recording:
         sensors["attitude"] = attitude
     return assemble(
         sensors,
-        _channels(log, channels, request),
+        _channels(log, channels, request, inertial),
         request,
         name=path.stem,
         notes=tuple(notes),
@@ -218,12 +219,15 @@ def _attitude(log: ArduPilotLog, request: Request, notes: list[str]) -> Stream |
     return Stream("ATT", stream.stamp, quaternion)
 
 
-def _channels(log: ArduPilotLog, channels: tuple[str, ...], request: Request) -> dict[str, Stream]:
-    """Return the channels that the log has."""
+def _channels(
+    log: ArduPilotLog, channels: tuple[str, ...], request: Request, inertial: tuple[str, int] | None
+) -> dict[str, Stream]:
+    """Return the channels that the log has; those of IMU are of the instance that is read, unless they name one."""
     result = {}
     for channel in channels:
         message, member = channel.split(".", 1)
         keys = [k for k in sorted(log.samples) if message in (k[0], label(k))]
+        keys.sort(key=lambda k: k != inertial)
         samples = log.samples[keys[0]] if keys else None
         if samples is not None and member in samples.columns and len(samples.stamp) > 1:
             result[channel] = Stream(channel, samples.stamp, samples.columns[member])
