@@ -415,8 +415,7 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
         (("{log}", "--state", "."), ""),
         (
             ("{log}", "--field-strength", "0"),
-            "field_strength: must be that of the Earth, 20e-6 to 70e-6 T (8e-06 to 0.000175 T is accepted), "
-            "got 0 T (0 µT)",
+            "--field-strength: must be that of the Earth, 20 to 70 µT (8 to 175 µT is accepted), got 0 µT",
         ),
         (
             ("{log}", "--option", "field_strength=strong"),
@@ -520,3 +519,27 @@ def test_an_estimate_that_still_changes_is_not_written_as_trusted() -> None:
     assert calibration.message.startswith("the estimate still changes")
     with pytest.raises(MagycError, match="must not be trusted"):
         calibration.export("px4")
+
+
+def test_stamps_that_were_never_filled_in_are_told(tmp_path: Path, simulation: mg.Simulation) -> None:
+    recording = simulation.recording
+    with open(tmp_path / "unstamped.mcap", "wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros2")
+        for kind, width, at, value in (
+            ("MagneticField", 12, 0, recording.magnetic_field),
+            ("Imu", 37, 13, recording.angular_rate),
+        ):
+            text = definition(f"sensor_msgs/{kind}").encode()
+            identifier = writer.register_schema(f"sensor_msgs/msg/{kind}", "ros2msg", text)
+            numbers = np.zeros((len(recording.time), width))
+            numbers[:, at : at + 3] = value
+            channel = writer.register_channel(f"/{kind}", "cdr", identifier)
+            for k, message in enumerate(encode(np.zeros(len(numbers), np.int64), numbers)):
+                writer.add_message(channel, EPOCH + k * 50_000_000, message, EPOCH)
+        writer.finish()
+    finished = run("online", "unstamped.mcap", "-o", "out.yaml", cwd=tmp_path)
+    assert finished.returncode == 1
+    assert "samples (stamps that repeat, go back or leap" in finished.stderr
+    assert "if the stamps were never filled in, take --stamps log" in finished.stderr
+    assert run("online", "unstamped.mcap", "-o", "out.yaml", "--stamps", "log", cwd=tmp_path).returncode == 0

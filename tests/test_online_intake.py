@@ -208,6 +208,23 @@ def test_a_gyroscope_alone_after_a_pause_of_both_goes_on() -> None:
 
 
 @pytest.mark.parametrize("silent", ["angular_rate", "magnetic_field"])
+def test_one_long_block_keeps_what_both_sensors_have(silent: str) -> None:
+    """As of a whole file in which one sensor stops half-way: all of the other was dropped but the last minute."""
+    recording = mg.simulate("wide", 300, 10, seed=3).recording
+    given = {"magnetic_field": recording.magnetic_field, "angular_rate": recording.angular_rate}
+    given[silent] = np.where(recording.time[:, None] < 150, given[silent], np.nan)
+    found = []
+    for size in (100, 3000):
+        online = mg.OnlineCalibrator()
+        for first in range(0, 3000, size):
+            rows = slice(first, first + size)
+            online.update(recording.time[rows], **{name: value[rows] for name, value in given.items()})
+        assert online.calibration is not None
+        found.append(online.calibration.hard_iron)
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("silent", ["angular_rate", "magnetic_field"])
 def test_without_one_sensor_the_estimate_is_out_of_date(silent: str) -> None:
     """It stayed converged while nothing came: 5 µT of payload later it was wrong at every look."""
     recording = mg.simulate("wide", 400, seed=2).recording

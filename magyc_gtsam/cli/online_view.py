@@ -103,7 +103,10 @@ class QuietView:
             complain(f"{self.source.name}: {self.source.waiting_for}")
             return 2
         progress = self.online.progress
-        self.complain(f"no calibration: {progress.sentence}")
+        parts = [f"no calibration: {progress.sentence}"]
+        if not progress.windows and progress.left_out:
+            parts += [*left_out_sentence(progress), "if the stamps were never filled in, take --stamps log"]
+        self.complain("; ".join(parts))
         return 2 if progress.disagree else 1
 
     def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:

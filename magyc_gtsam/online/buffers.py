@@ -182,7 +182,8 @@ class SampleBuffer:
         mag, gyro = self._magnetometer.rows[:, 0], self._gyroscope.rows[:, 0]
         latest = mag[-1] if len(mag) else gyro[0]  # samples without rates were dropped
         if latest > gyro[-1] + 2 * _WAITING:
-            known = len(self._numbers)
+            # A long block may hold all that the gyroscope reaches, which is not numbered yet.
+            known = max(len(self._numbers), int(np.searchsorted(mag, gyro[-1], side="right")))
             self._magnetometer.keep(known, mag[known:] >= latest - _WAITING)
         elif gyro[-1] > latest + 3 * _WAITING:
             known = int(np.searchsorted(gyro, latest + _WAITING))
