@@ -290,6 +290,20 @@ def test_a_log_that_fails_stays_a_row() -> None:
         mg.calibrate_many(good, times=[0.0])
 
 
+def test_how_well_the_walk_is_known_is_stated(dives: tuple[LogFactor, ...]) -> None:
+    """A history of one log said that the hard iron changes by 0.36 µT, which is the prior."""
+    factors = draw_season(2, dives, SeasonPlan(dives=30, jumps=0, wrecks=0, wrong_units=0)).factors
+    widths = []
+    for count in (2, 30):
+        history = History(factors[:count])
+        low, high = history.next.diagnostics["walk_interval"]
+        assert low <= history.walk * 1e6 <= high
+        assert f"with 68% probability {low:.2g} to {high:.2g})" in judged_history(history).worth
+        widths.append(high / low)
+    assert widths[1] < 2 < widths[0]
+    assert judged_history(History(factors[:1])).worth == "how much the hard iron changes is not known from one log"
+
+
 def test_what_cannot_be_read_or_is_repeated_changes_nothing(dives: tuple[LogFactor, ...]) -> None:
     """A broken file, which has no date, leaves the others' dates; a copy under another name counts once."""
     factors = draw_season(2, dives, SeasonPlan(dives=8)).factors

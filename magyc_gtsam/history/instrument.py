@@ -64,8 +64,16 @@ class Instrument:
     @property
     def walk(self) -> float:
         """The posterior median of the walk, µT per √day."""
+        return self._walk_at(0.5)
+
+    @property
+    def walk_interval(self) -> tuple[float, float]:
+        """The interval that holds 68 % of the posterior of the walk, µT per √day."""
+        return self._walk_at(0.16), self._walk_at(0.84)
+
+    def _walk_at(self, quantile: float) -> float:
         share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=1)
-        return float(WALKS[np.searchsorted(np.cumsum(share), 0.5)])
+        return float(WALKS[np.searchsorted(np.cumsum(share), quantile)])
 
     @property
     def scatter(self) -> float:

@@ -97,6 +97,7 @@ def _calibration(
     diagnostics: dict[str, Any] = {
         "logs": len(instrument.order),
         "walk": instrument.walk,
+        "walk_interval": list(instrument.walk_interval),
         "scatter": instrument.scatter,
         "recordings": [each.samples for each in used if each.samples and each.mean is not None],
     }

@@ -110,16 +110,20 @@ def judged_history(history: History) -> Verdict:
         span += (
             f", since {undated[0]} has no date" if len(undated) == 1 else f", since {len(undated)} have no date"
         )
-    scatter = f"{history.walk * 1e6:.2g} µT (1σ) {span}"
+    low, high = history.next.diagnostics["walk_interval"]
+    scatter = f"{history.walk * 1e6:.2g} µT (1σ; with 68% probability {low:.2g} to {high:.2g}) {span}"
     between = "otherwise " if jumps else ""
     excluded = len(history.contradictions)
     exclusion = f"; {excluded} more {'logs' if excluded > 1 else 'log'} left out" if excluded else ""
     if last_unused(history.factors, history.times) is not None:
         exclusion += ", the last one among them" if excluded > 1 else ", the last one"
     used = len(history) - excluded
+    changes = f"the hard iron {times}; it {between}changes by {scatter}"
+    if used == 1:
+        changes = "how much the hard iron changes is not known from one log"
     return Verdict(
         True,
-        worth=f"the hard iron {times}; it {between}changes by {scatter}{exclusion}",
+        worth=f"{changes}{exclusion}",
         called=f"{used} logs of one instrument" if used > 1 else "1 log",
     )
 
