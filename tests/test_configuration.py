@@ -111,14 +111,20 @@ def test_field_and_rate_are_in_one_frame(axes: str, misaligned: bool) -> None:
     """With other axes of the gyroscope, with chips that are not aligned, and with both."""
     noise = {"magnetometer_noise": 2e-9, "gyroscope_noise": 2e-4}
     quiet = mg.simulate("wide", 100, RATE, seed=7, gyro_bias=np.zeros(3), **noise).recording
-    matrix, rotation, bias = parse_axes(axes), TURNED if misaligned else np.eye(3), np.array([0.004, -0.005, 0.002])
+    matrix, rotation, bias = (
+        parse_axes(axes),
+        TURNED if misaligned else np.eye(3),
+        np.array([0.004, -0.005, 0.002]),
+    )
     true = quiet.angular_rate @ rotation
     delivered = replace(quiet, attitude=None, angular_rate=(true + bias) @ matrix)
     recording = with_turned_gyroscope(delivered, matrix)
     calibration = mg.calibrate(recording, delay=0.0, misalignment=0.05)
     field, rate = calibration.apply(recording), calibration.apply_gyroscope(recording)
     assert inconsistency(field, rate) < 0.02
-    assert inconsistency(field, calibration.apply_gyroscope(recording.angular_rate)) < 0.02  # arrays are in these axes
+    assert (
+        inconsistency(field, calibration.apply_gyroscope(recording.angular_rate)) < 0.02
+    )  # arrays are in these axes
     if axes != "x,y,z":
         assert inconsistency(field, calibration.apply_gyroscope(delivered.angular_rate)) > 0.5
     assert np.abs(rate - true).max() < 2e-3  # in the frame of the gyroscope, not in the magnetometer's
@@ -133,6 +139,8 @@ def test_a_recording_in_other_axes_is_refused() -> None:
         calibration.apply_gyroscope(rolled)
     with pytest.raises(mg.MagycError, match="leave out gyroscope_axes="):
         mg.calibrate(SIMULATED).apply_gyroscope(recording)
+    with pytest.raises(mg.MagycError, match="has no angular_rate"):
+        calibration.apply_gyroscope(mg.Recording(SIMULATED.time, SIMULATED.magnetic_field))
     calibration.apply(rolled)  # of the field nothing is in the gyroscope's axes
     skewed = replace(mg.calibrate(recording, misalignment=0.02))
     assert skewed.terms

@@ -290,6 +290,21 @@ def test_a_log_that_fails_stays_a_row() -> None:
         mg.calibrate_many(good, times=[0.0])
 
 
+def test_times_may_be_dates_and_must_be_known() -> None:
+    logs = [mg.simulate("wide", 60, 10, seed=seed).recording for seed in (1, 2)]
+    day = np.datetime64("2024-05-01T12:00")
+    dated = mg.calibrate_many(logs, times=[day, (day + 1440).astype(object)])
+    assert dated.times == (1714564800.0, 1714651200.0)
+    for wrong in (float("nan"), "2024-05-01", None, np.datetime64("NaT")):
+        with pytest.raises(mg.MagycError, match="times: "):
+            mg.calibrate_many(logs, times=[1.7e9, wrong])
+        if wrong is not None:
+            with pytest.raises(mg.MagycError, match="time: "):
+                dated.add(logs[0], time=wrong)
+    with pytest.raises(mg.MagycError, match="model: a HistoryModel is needed, got int"):
+        mg.calibrate_many(logs, model=3)  # type: ignore[arg-type]
+
+
 def test_how_well_the_walk_is_known_is_stated(dives: tuple[LogFactor, ...]) -> None:
     """A history of one log said that the hard iron changes by 0.36 µT, which is the prior."""
     factors = draw_season(2, dives, SeasonPlan(dives=30, jumps=0, wrecks=0, wrong_units=0)).factors

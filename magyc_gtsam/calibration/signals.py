@@ -27,12 +27,14 @@ def given_signals(value: ArrayLike | Recording, name: str, signals: Mapping[str,
     """Return the signals by name: all those of a recording, or the array `value` under `name`; and `signals`.
 
     Raises:
-        MagycError: a signal has an unknown name.
+        MagycError: a signal has an unknown name, or the recording does not have `name`.
     """
     unknown = sorted(signals.keys() - set(_KNOWN))
     if unknown:
         raise MagycError(f"apply: no signal {', '.join(map(repr, unknown))}; there are {', '.join(_KNOWN)}")
     if isinstance(value, Recording):
+        if getattr(value, name) is None:
+            raise MagycError(f"apply: recording {value.name!r:.60} has no {name}")
         return {k: getattr(value, k) for k in _KNOWN} | dict(signals)
     return {**signals, name: value}
 

@@ -199,18 +199,18 @@ class History:
             return following
         return replace(following, converged=False, message=self.doubt.sentence)
 
-    def add(self, recording: Recording, *, time: float | None = None) -> History:
+    def add(self, recording: Recording, *, time: Any = None) -> History:
         """Add one more log without reading the others again; the result equals that of all logs at once.
 
         Args:
             recording: the log to add.
-            time: s since 1970; None takes it from the recording, if that has a date.
+            time: s since 1970, or a calendar stamp; None takes it from the recording, if that has a date.
 
         Returns:
             This history.
 
         Raises:
-            MagycError: not a recording.
+            MagycError: not a recording, or no time.
         """
         expect_recording("History.add", recording)
         return self.extend([factor_of(recording, time, self.options)])

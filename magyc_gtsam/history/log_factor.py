@@ -28,6 +28,7 @@ from magyc_gtsam.recording.applied import CALIBRATED, is_calibrated
 from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.recording.fingerprint import fingerprint
+from magyc_gtsam.recording.stamps import moment
 from magyc_gtsam.recording.time_zero import time_zero_of
 
 HARD_IRON, GYRO_BIAS = slice(-6, -3), slice(-3, None)
@@ -145,7 +146,7 @@ def factor_of(recording: Recording, time: float | None, options: dict[str, Any])
         time: s since 1970; None takes it from the recording.
         options: options of `calibrate`.
     """
-    when = date_of(recording) if time is None else time
+    when = date_of(recording) if time is None else moment("time", time)
     if is_calibrated(recording):
         return LogFactor(recording.name, when, None, None, problem=CALIBRATED)
     try:

@@ -14,6 +14,7 @@ from magyc_gtsam.history.log_factor import LogFactor, factor_of
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_progress, expect_recording
+from magyc_gtsam.recording.stamps import moment
 
 Progress = Callable[[float], None]
 
@@ -22,7 +23,7 @@ Progress = Callable[[float], None]
 def calibrate_many(
     recordings: Iterable[Recording],
     *,
-    times: Sequence[float] | None = None,
+    times: Sequence[Any] | None = None,
     model: HistoryModel | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -31,14 +32,14 @@ def calibrate_many(
 
     Args:
         recordings: the logs; those of `read_many` are in memory one at a time.
-        times: s since 1970 of each log; None takes them from the recordings, if these have a date.
+        times: s since 1970 of each log, or calendar stamps; None takes them from the recordings, if these have a date.
         model: assumptions about the instrument between the logs; None for the defaults.
         progress: called with the share done, 0 to 1.
         options: options of `calibrate` for every log.
 
     Raises:
-        MagycError: there are no logs, the number of times differs, an option of `calibrate` is unknown or out of
-            range, or no log has a trusted calibration.
+        MagycError: there are no logs, the number of times differs or one is none, an option of `calibrate` is unknown
+            or out of range, or no log has a trusted calibration.
     """
     if isinstance(recordings, str | os.PathLike):
         raise MagycError(
@@ -54,10 +55,13 @@ def calibrate_many(
         raise MagycError("calibrate_many: there are no recordings; pass at least one")
     if times is not None and len(times) != len(logs):
         raise MagycError(f"times: {len(times)} for {len(logs)} recordings; pass one for each")
+    if model is not None and not isinstance(model, HistoryModel):
+        raise MagycError(f"model: a HistoryModel is needed, got {type(model).__name__}")
+    dates = None if times is None else [moment("times", time) for time in times]
     check_options(**options)
     factors = []
     for i in range(len(logs)):
-        factors.append(_read_factor(logs, i, None if times is None else float(times[i]), options))
+        factors.append(_read_factor(logs, i, None if dates is None else dates[i], options))
         if progress is not None:
             progress((i + 1) / len(logs))
     return History(factors, model=model, options=options)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.numbers import is_finite
 
 _LONGEST_STEP = 5.0  # s, median; larger steps are counts of another unit
 _SHORTEST_HOLE = (0.5, 10)  # s, and median steps: a hole is longer than both
@@ -53,6 +54,24 @@ def seconds(name: str, time: Any, origin: int = 0) -> Any:
             f"{int(np.argmax(missing))}; remove those rows"
         )
     return (stamps - origin) / 1e9
+
+
+def moment(name: str, time: Any) -> float:
+    """Return one stamp in s: a number, or a calendar stamp (numpy, pandas, datetime), which becomes s since 1970.
+
+    Args:
+        name: name of the argument, for messages.
+        time: the stamp.
+
+    Raises:
+        MagycError: it is neither, not finite, or missing (NaT).
+    """
+    value = time
+    if isinstance(time, np.datetime64 | datetime):
+        value = float(np.atleast_1d(seconds(name, [time]))[0])
+    if not is_finite(value):
+        raise MagycError(f"{name}: a number of s since 1970, or a date, is needed, got {time!r:.60}")
+    return float(value)
 
 
 def origin_of(time: Any) -> int:
