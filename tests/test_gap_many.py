@@ -173,6 +173,15 @@ def test_logs_of_one_instrument_with_a_scale_of_the_gyroscope_are_of_one() -> No
     assert gap.verdict == "closed"
 
 
+def test_why_none_can_be_read_is_said_of_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "one.mcap").write_bytes(b"no log")
+    (tmp_path / "two.csv").write_text("time,nothing\n", encoding="utf-8")
+    assert cli.main(["gap", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert "none of 2 logs can be read: one: the content is not that of a .mcap file" in told
+    assert "; two: holds a header but no data" in told
+
+
 def test_what_is_not_among_the_candidates_is_told_in_words() -> None:
     logs = []
     for seed in (1, 2):

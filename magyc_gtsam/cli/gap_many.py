@@ -15,7 +15,7 @@ from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder
 from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
-from magyc_gtsam.foreign_text import clauses
+from magyc_gtsam.foreign_text import clauses, counted, first_of
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.option_names import as_options
 
@@ -63,7 +63,8 @@ def gap_of_logs(
                 unread.append(LogLeftOut(name, str(problem).removeprefix(f"{log}: ")))
             progress(done / len(logs))
         if not recordings:
-            raise MagycError(f"none of {len(logs)} logs can be read; the first: {unread[0].sentence}")
+            each = "; ".join(first_of([f"{own.log}: {own.sentence}" for own in unread], "logs"))
+            raise MagycError(f"none of {counted(len(logs), 'log')} can be read: {each}")
         gap = find_gap(recordings, candidates=names, progress=stage("searching"))
         gap = replace(gap, own=(*unread, *gap.own))
         text = json_text.dumps(gap.to_dict(), indent=2, ensure_ascii=False) + "\n"
