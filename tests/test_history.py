@@ -315,7 +315,7 @@ def test_how_well_the_walk_is_known_is_stated(dives: tuple[LogFactor, ...]) -> N
         assert low <= history.walk * 1e6 <= high
         assert f"with 68% probability {low:.2g} to {high:.2g})" in judged_history(history).worth
         widths.append(high / low)
-    assert widths[1] < 2 < widths[0]
+    assert 1.1 < widths[1] < 2 < widths[0]
     assert judged_history(History(factors[:1])).worth == "how much the hard iron changes is not known from one log"
 
 
@@ -329,7 +329,7 @@ def test_what_cannot_be_read_or_is_repeated_changes_nothing(dives: tuple[LogFact
         History([*factors[:3], broken]).extend([replace(factors[1], name="copy"), *factors[3:]]),
     ):
         assert more.times is not None
-        assert more.walk == alone.walk
+        assert more.walk == pytest.approx(alone.walk, rel=1e-3)
         np.testing.assert_allclose(more.next.hard_iron, alone.next.hard_iron, rtol=1e-3)
         np.testing.assert_allclose(more.next.covariance, alone.next.covariance, rtol=0.01, atol=1e-16)
         (sentence,) = [each.sentence for each in more.contradictions if each.name == "copy"]

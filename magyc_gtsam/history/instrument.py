@@ -72,8 +72,11 @@ class Instrument:
         return self._walk_at(0.16), self._walk_at(0.84)
 
     def _walk_at(self, quantile: float) -> float:
+        """Return a quantile of the walk, whose logarithm is uniform between the middles of neighbours on the grid."""
         share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=1)
-        return float(WALKS[np.searchsorted(np.cumsum(share), quantile)])
+        middle = 0.5 * (np.log(WALKS[1:]) + np.log(WALKS[:-1]))
+        edges = np.r_[np.log(WALKS[0]), middle, np.log(WALKS[-1])]
+        return float(np.exp(np.interp(quantile, np.r_[0.0, np.cumsum(share)], edges)))
 
     @property
     def scatter(self) -> float:
