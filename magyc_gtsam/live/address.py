@@ -35,7 +35,10 @@ def open_source(text: str, request: Request) -> LiveSource:
 
         path = Path(text)
         if path.is_dir():
-            raise MagycError(f"{path}: is a directory; name the MCAP file in it that is being written")
+            raise MagycError(
+                f"{path}: is a directory; name the MCAP file in it that is being written, or calibrate a complete bag "
+                "(`mg.calibrate`)"
+            )
         return McapFollower(path, request)
     kind, _, location = text.partition("://")
     where, _, query = location.partition("?")
