@@ -213,12 +213,16 @@ def test_a_small_misalignment_is_as_probable_as_the_sensors_show() -> None:
 
 
 def test_a_core_is_not_guessed_beyond_what_was_read() -> None:
-    """Of the foot of a knee alone any share might be lost beyond it, and the field would be anything."""
-    recording = mg.simulate("wide", 150, seed=23, effects=["saturation"]).recording
-    gap = mg.find_gap(recording, candidates=BENDS)
+    """Of the foot of a knee alone any share might be lost beyond it, and the field would be anything.
+
+    The largest readings are corrected to 0.4 %, with the level and the knee that the whole model shows.
+    """
+    hidden = {"seed": 24, "effects": ["saturation"]}
+    gap = mg.find_gap(mg.simulate("wide", 150, **hidden).recording, candidates=BENDS)  # type: ignore[arg-type]
     assert gap.names == ("saturation",)
-    strength = np.linalg.norm(gap.calibration.apply(recording), axis=1)
-    assert np.abs(strength / np.median(strength) - 1).max() < 0.2
+    quiet = mg.simulate("wide", 150, magnetometer_noise=1e-12, **hidden).recording  # type: ignore[arg-type]
+    strength = np.linalg.norm(gap.calibration.apply(quiet), axis=1)
+    assert np.abs(strength / np.median(strength) - 1).max() < 0.006
 
 
 def test_a_reading_that_bends_evenly_is_a_cubic() -> None:

@@ -130,7 +130,7 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
             if node.variation is not None:
                 continue
             left = node.beside.left()
-            power = float(left @ left) - tree.freedom
+            power = float(left @ left) - tree.fits.freedom
             if power > PRIOR.form * node.explained:
                 colour, key = colour_of(left), node.present
                 with_colour = tuple(sorted((*key, COLOUR)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects import TERMS, nested, sudden
+from magyc_gtsam.gap.effects import TERMS, nested
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings
 from magyc_gtsam.gap.evidence.laplace import Explained, Terms
@@ -167,14 +167,14 @@ class Node:
         information = columns @ columns.T + np.eye(len(columns))
         return float(own @ own), float(signal @ np.linalg.solve(information, signal))
 
-    def closer(self) -> Setting:
-        """Return the setting of the last term; of a sudden one, the most probable in the set's linear model."""
-        term, last = self.fit.model.terms[-1], len(self.scales) - 1
-        near = TERMS[term.name].refined(self.fit.twin, term.setting) if sudden(term.name, term.setting) else []
+    def closer(self, index: int) -> Setting:
+        """Return the setting of a term that is most probable in the set's linear model, among those near its own."""
+        term = self.fit.model.terms[index]
+        near = TERMS[term.name].refined(self.fit.twin, term.setting)
         if not near:
             return term.setting
         candidates = Candidates.of_parts(self.fit.twin, [at_settings(self.fit.twin, term.name, near)])
-        without = Terms.of(self.fit).added_to(self.beside.rest(), self.scales, without=last)
+        without = Terms.of(self.fit).added_to(self.beside.rest(), self.scales, without=index)
         return weigh(candidates, without)[term.name].setting
 
     def replaceable(self, index: int) -> bool:

@@ -1,8 +1,6 @@
 """A tree of sets of effects: each set is fitted jointly and has its log evidence, and the most probable are extended.
 
-The evidence of a set is that of its linear model at the joint minimum (Laplace): parameters have no prior; amplitudes
-have one, and are averaged over its scales. The residual is white noise, or white noise with a varying field of the
-place (`field_variation`). Further effects and families are tested beside a set without a fit.
+Further effects and families are tested beside a set without a fit.
 """
 
 from __future__ import annotations
@@ -13,25 +11,19 @@ from itertools import islice
 
 import numpy as np
 
-from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, with_each_drift
-from magyc_gtsam.gap.evidence.laplace import Terms, marginal
+from magyc_gtsam.gap.evidence.candidates import COLOUR, with_each_drift
+from magyc_gtsam.gap.evidence.joint_fits import VARIES, JointFits
 from magyc_gtsam.gap.evidence.look import finer
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, one_event, related
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of
-from magyc_gtsam.gap.model.field_variation import COLOURS, COMBINATIONS, FieldVariation, field_variation
+from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.problem import Active, Model
-from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term, without_term
-from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.model.refit import Refit, refit, with_term, without_term
 from magyc_gtsam.gap.rules import RULES
 
-_VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
-_COLOURED = float(np.log(COLOURS))  # the same for that of coloured noise
 _MORE_MODES = float(np.log(RULES.drift_finer))
-_SETTLED = 4  # rounds of finding a setting again at the minimum
-_BEYOND = 2.0  # times the largest possible value, from which a fit that has not converged will not be possible
 
 
 class Tree:
@@ -49,11 +41,7 @@ class Tree:
             before: tree of nearly the same readings: from its probable sets this one is grown, those that had no fit
                 are refused.
         """
-        self._problem = root.twin.problem
-        self.candidates = Candidates.of(root.twin, names)
-        terms = Terms.of(root)
-        plain = terms.beside(None)
-        self.square, self.freedom = plain.square, len(terms.residual) - len(terms.base)
+        self.fits = JointFits.of(root, names)
         self.nodes: dict[tuple[str, ...], Node] = {}
         # Without a possible fit.
         self.refused: set[tuple[str, ...]] = set() if before is None else set(before.refused)
@@ -61,7 +49,7 @@ class Tree:
         # Terms, name and setting, that are not exchanged again, and the sets without one that are not fitted therefore.
         self._unrivalled: set[tuple[object, ...]] = set() if before is None else set(before._unrivalled)
         self._spared: set[tuple[str, ...]] = set()
-        first = [self._node((), root, None, 0.0), *self._given(root, given), *again]
+        first = [self.fits.node((), root, 0.0), *self._given(root, given), *again]
         self.nodes |= {node.key: node for node in first}
         self._grow(first)
         while self._exchanged() or self._deepened():
@@ -96,16 +84,16 @@ class Tree:
         for term in given:
             model = with_term(model, term)
         if given:
-            yield self._node(tuple(term.name for term in given), refit(self._problem, model, None), None, 0.0)
+            yield self.fits.node(tuple(term.name for term in given), refit(self.fits.problem, model, None), 0.0)
 
     def _again(self, root: Refit, before: Sequence[Node]) -> Iterator[Node]:
         """Fit sets of nearly the same readings."""
         for old in before:
-            fit = self._fit(replace(old.fit.model, noise=root.model.noise), None)
+            fit = self.fits.fit(replace(old.fit.model, noise=root.model.noise), None)
             if fit is None:
                 self.refused.add(old.key)
             else:
-                yield self._node(old.names, fit, _variation(old.names, fit), old.search)
+                yield self.fits.node(old.names, fit, old.search)
 
     def _grow(self, frontier: list[Node]) -> None:
         while frontier and len(self.nodes) < PRIOR.nodes:
@@ -149,13 +137,20 @@ class Tree:
         return self.best is not best
 
     def _deepened(self) -> bool:
-        """Add one more effect to the best set, and to those that may become better; return whether one is."""
+        """Add one more effect to the best set, and to those that may become better; return whether one is.
+
+        Candidates that are as probable in the linear model as one that was added are fitted, too.
+        """
         best = self.best
         for node in list(self.nodes.values()):
+            added = [each for each in node.found.values() if node.key_with(each.name) == best.key]
             for option in self._options(node) if len(node.fit.model.terms) < PRIOR.depth else ():
                 ahead = node is best or node.log + option.log + PRIOR.named > best.log
-                if not ahead or self._fitted(node, option) is not None or self._full:
+                alike = any(option.log > other.log - PRIOR.alike for other in added)
+                if self._full or not (alike if added else ahead):
                     break
+                if self._fitted(node, option) is not None:
+                    added.append(option)
         return self.best is not best
 
     def _options(self, node: Node, instead_of: str | None = None) -> Iterator[Weighed]:
@@ -184,29 +179,29 @@ class Tree:
         rest = [term.setting for i, term in enumerate(node.fit.model.terms) if i != index]
         if known is not None and all(term.setting in rest for term in known.fit.model.terms):
             return known
-        fit = refit(self._problem, without_term(node.fit.model, index), None)
+        fit = refit(self.fits.problem, without_term(node.fit.model, index), None)
         names = node.names_without(name)
-        less = self._node(names, fit, _variation(names, fit), node.search)
+        less = self.fits.node(names, fit, node.search)
         if known is None or known.log < less.log:  # otherwise the same names with other settings are more probable
             self.nodes[less.key] = less
         return less
 
     def _children(self, node: Node) -> Iterator[Node]:
-        if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.freedom):
+        if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.fits.freedom):
             key = node.key_with(FIELD_VARIATION)
             variation = field_variation(node.fit.twin)
             if len(variation.components):
                 sensor = field_variation(node.fit.twin, in_world=False).gain
                 undecided = sensor > PRIOR.world_ahead and variation.gain < sensor + PRIOR.world_ahead
-                node.moving.append((max(sensor, variation.gain) if undecided else sensor) - _VARIES)
+                node.moving.append((max(sensor, variation.gain) if undecided else sensor) - VARIES)
             if key not in self.nodes and len(variation.components):
-                yield self._node((*node.names, FIELD_VARIATION), node.fit, variation, node.search)
+                yield self.fits.node((*node.names, FIELD_VARIATION), node.fit, node.search, variation)
         colour, names = node.found.get(COLOUR), (*node.names, COLOUR)
         beside = (
             node.variation is not None and COLOUR not in node.names and node.key_with(COLOUR) not in self.nodes
         )
         if beside and colour is not None and colour.log + PRIOR.named > 0:
-            yield self._node(names, node.fit, _variation(names, node.fit), node.search)
+            yield self.fits.node(names, node.fit, node.search)
         least, tried = -1.0 - PRIOR.named, list[Weighed]()
         for option in self._options(node):
             if option.log < least or len(tried) == PRIOR.beam or len(self.nodes) >= PRIOR.nodes:
@@ -230,8 +225,8 @@ class Tree:
         names, search = (*node.names, option.name), node.search + option.search
 
         def fitted(model: Model) -> Node | None:
-            fit = self._fit(model, node.fit.twin)
-            return None if fit is None else self._node(names, fit, _variation(names, fit), search)
+            fit = self.fits.fit(model, node.fit.twin)
+            return None if fit is None else self.fits.node(names, fit, search)
 
         models, place = with_each_drift(model, node.fit.twin)
         best = fitted(models[place])
@@ -245,56 +240,4 @@ class Tree:
                 if child is None or child.log < best.log + way * _MORE_MODES:
                     break
                 best = child
-        return self._settled(best)
-
-    def _settled(self, node: Node) -> Node:
-        """Return a set with the time of its last effect that is most probable at its minimum, if the effect is sudden.
-
-        It was found in the linear model of the set without the effect, far from that minimum if the effect is large.
-        """
-        for _ in range(_SETTLED):
-            last, setting = len(node.scales) - 1, node.closer()
-            if setting == node.fit.model.terms[last].setting:
-                break
-            term = replace(node.fit.model.terms[last], setting=setting)
-            fit = self._fit(with_term(without_term(node.fit.model, last), term), node.fit.twin)
-            ahead = None if fit is None else self._node(node.names, fit, _variation(node.names, fit), node.search)
-            if ahead is None or ahead.log <= node.log:
-                break
-            node = ahead
-        return node
-
-    def _fit(self, model: Model, known: Twin | None) -> Refit | None:
-        """Fit a model; None if there is no fit or a value is impossible."""
-        try:
-            fit = refit(self._problem, model, None, known, _BEYOND * RULES.farthest)
-        except MagycError:
-            return None
-        return fit if all(possible(fit, index) for index in range(len(fit.model.terms))) else None
-
-    def _node(self, names: tuple[str, ...], fit: Refit, variation: FieldVariation | None, search: float) -> Node:
-        terms = Terms.of(fit)
-        plain = terms.beside(variation)
-        evidence, scales, of_terms, left = marginal(terms, plain, fit)
-        log = 0.5 * (self.square - plain.square - plain.log_determinant) + evidence
-        log -= self.freedom * np.log(plain.noise) + (_VARIES if variation is not None else 0.0)
-        log -= _COLOURED if COLOUR in names else 0.0
-        beside = terms.added_to(plain, scales)
-        return Node(
-            names,
-            fit,
-            variation,
-            float(log + len(names) * PRIOR.named - search),
-            search,
-            left / self.freedom,
-            self.square / plain.noise**2 - left,
-            of_terms,
-            scales,
-            beside,
-            self.candidates,
-        )
-
-
-def _variation(names: Sequence[str], fit: Refit) -> FieldVariation | None:
-    """Return the variation of the field beside a set's effects, if it is in the set, with coloured noise if that is."""
-    return field_variation(fit.twin, coloured=COLOUR in names) if FIELD_VARIATION in names else None
+        return best if best.log < self.best.log - PRIOR.close else self.fits.settled(best)
