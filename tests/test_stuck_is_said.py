@@ -59,3 +59,14 @@ def test_online(
     assert code == int("Do not use" in told)
     assert said in told
     assert ("samples (those of faulty sensors, stamps that repeat" in told) == (name != "all")
+
+
+def test_history(logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "out"
+    assert main(["history", str(logs["all"]), str(logs["part"]), "-o", str(folder)]) == 0
+    told = capsys.readouterr().err
+    assert f"note: all.mcap: {EVERY}" in told
+    assert f"note: part.mcap: {ONE}" in told
+    assert EVERY in (folder / "report.html").read_text(encoding="utf-8")
+    again = mg.History.load(folder / "history.yaml")
+    assert [len(factor.left_out) for factor in again.factors] == [1, 1]

@@ -102,7 +102,7 @@ def _followed(
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
     from magyc_gtsam.io.many import find_logs
-    from magyc_gtsam.report.summary_page import history_page, judged_history
+    from magyc_gtsam.report.summary_page import history_page, judged_history, parts_left_out
     from magyc_gtsam.storage.files import write_text
 
     logs = find_logs([reading.log, *(more or [])])
@@ -138,6 +138,7 @@ def _followed(
     unused = [factor for factor in factors if factor.mean is None]
     if quiet or json:  # the table has them
         notes += [f"{factor.name} is not used: {factor.problem}" for factor in unused]
+    notes += parts_left_out(factors)
     for note in [*notes, *_order_given(history), *_without_the_last(history)]:
         complain(f"note: {note}")
     if not verdict.trusted:

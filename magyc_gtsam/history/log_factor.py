@@ -66,6 +66,7 @@ class LogFactor:
         field_strength: field strength, T, estimated or given.
         problem: why the log has no information; "" if it has.
         gyroscope_axes, autopilot: of its recording.
+        left_out: sentences on its parts that were left out because a sensor was faulty.
         samples: fingerprint of its recording; "" in a history of an earlier version, of a file that cannot be read, of
             a copy of another log, and of a calibrated log.
     """
@@ -86,6 +87,7 @@ class LogFactor:
     noise_covariance: Array | None = None
     gyroscope_axes: str = OWN_AXES
     autopilot: Autopilot | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def counts(self) -> bool:
@@ -103,7 +105,8 @@ class LogFactor:
         """Return the factor as JSON types."""
         arrays = {name: getattr(self, name) for name in _SHAPES}
         values = asdict(self) | {name: None if value is None else value.tolist() for name, value in arrays.items()}
-        return values | {"autopilot": None if self.autopilot is None else self.autopilot.to_dict()}
+        autopilot = None if self.autopilot is None else self.autopilot.to_dict()
+        return values | {"autopilot": autopilot, "left_out": list(self.left_out)}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> LogFactor:
@@ -120,6 +123,7 @@ class LogFactor:
                     if values[name].shape not in shapes or not np.isfinite(values[name]).all():
                         wanted = " or ".join(map(str, shapes))
                         raise MagycError(f"history: {name} of a log must be {wanted} finite numbers")
+            values["left_out"] = tuple(values.get("left_out", ()))
             if values.get("autopilot") is not None:
                 values["autopilot"] = Autopilot.from_dict(values["autopilot"])
             factor = cls(**values)
@@ -225,6 +229,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
         log_scale=log_scale if strength_given else None,
         log_scale_sigma=of_scale if strength_given else None,
         field_strength=calibration.field_strength,
+        left_out=tuple(calibration.diagnostics.get("left_out", ())),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from magyc_gtsam.history import History
 from magyc_gtsam.history.doubt import last_unused
-from magyc_gtsam.history.log_factor import HARD_IRON
+from magyc_gtsam.history.log_factor import HARD_IRON, LogFactor
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart
 from magyc_gtsam.report.html import rendered
@@ -81,6 +81,7 @@ def history_page(history: History) -> str:
             "Logs that are not used",
             sentences=[f"{each.name}: {each.sentence}" for each in history.contradictions] or ["None."],
         ),
+        Section("Parts of logs that are not used", sentences=parts_left_out(history.factors) or ["None."]),
         Section(
             "Logs that can be of one instrument",
             sentences=[", ".join(names[i] for i in group) for group in history.groups],
@@ -92,6 +93,11 @@ def history_page(history: History) -> str:
     return summary_page(
         "History of an instrument", verdict.title, verdict.trusted, [said(verdict.reason)], sections
     )
+
+
+def parts_left_out(factors: Sequence[LogFactor]) -> list[str]:
+    """Return a sentence on each part of a log that was left out because a sensor was faulty."""
+    return [f"{factor.name}: left out: {where}" for factor in factors for where in factor.left_out]
 
 
 def judged_history(history: History) -> Verdict:
