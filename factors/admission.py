@@ -12,7 +12,7 @@ import numpy as np
 from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
 from magyc_gtsam.factors.calibration_before import calibration_before
 from magyc_gtsam.factors.delivered import Delivered
-from magyc_gtsam.factors.heading_pull import HeadingPull, known_heading
+from magyc_gtsam.factors.heading_pull import HeadingPull, known_heading, linearized_near, solved_turn
 from magyc_gtsam.factors.health import CHECK_AXES, Health, HealthStatus
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
@@ -95,7 +95,7 @@ class AdmissionControl:
         point = view.values(alignment.needed)
         verdict = alignment.judge(point, *self._prior) if alignment.due else HeadingVerdict.UNDECIDED
         resisted = self._resists(view, last.block.time)
-        if verdict is HeadingVerdict.NEAR and not resisted:
+        if verdict is HeadingVerdict.NEAR and not resisted and not self._turning(view):
             admission = Admission(self.waiting + fresh, remove=self._without_pull(), turned=not self.entered)
             self._alignment, self.entered, self.waiting = None, True, []
             self.contradiction = None
@@ -121,7 +121,7 @@ class AdmissionControl:
                 self.pull = admission.pull = HeadingPull.of(point, last.attitude_key, *turn)
             return admission
         undecided = verdict is HeadingVerdict.UNDECIDED and self.contradiction is None
-        if undecided and not self.entered and self.pull is None and self._sure(view, point, last.attitude_key):
+        if undecided and not self.entered and self.pull is None and self._sure(view, point):
             self.entered = True
             entering, self.waiting = self.waiting + fresh, []
             return Admission(entering)
@@ -180,14 +180,30 @@ class AdmissionControl:
             return values
         return self._turned(graph, values, alignment.last, optimize)
 
-    def _sure(self, view: View, point: gtsam.Values, key: int) -> bool:
+    def _sure(self, view: View, point: gtsam.Values) -> bool:
         """Whether the graph's own heading is certain enough, at the last pose that the solver holds."""
         assert self._alignment is not None
-        held = [each for each in self._alignment.attitudes if not view.new.exists(each) and view.exists(each)]
-        if not held:
+        key, limits = self._held(view), self._alignment.limits
+        sigma = None if key is None else known_heading(view, point, key)
+        if key is None or sigma is None or sigma >= limits.confident:
             return False
-        sigma = known_heading(view, point, held[-1])
-        return sigma is not None and sigma < self._alignment.limits.confident
+        turn = solved_turn(view, key)
+        return turn is not None and turn < limits.steady
+
+    def _turning(self, view: View) -> bool:
+        """Whether the graph has not settled at the heading at which the blocks would enter."""
+        assert self._alignment is not None
+        key = self._held(view)
+        if key is None or self.entered:
+            return False
+        turn = solved_turn(view, key) if linearized_near(view, key) else np.inf
+        return turn is not None and turn > self._alignment.limits.near
+
+    def _held(self, view: View) -> int | None:
+        """Return the key of the last attitude that the solver holds; None where there is none."""
+        assert self._alignment is not None
+        held = [key for key in self._alignment.attitudes if not view.new.exists(key) and view.exists(key)]
+        return held[-1] if held else None
 
     def _turned(
         self,

@@ -40,6 +40,7 @@ class AlignmentLimits:
             contradiction.
         confident: rad, standard deviation of the graph's own heading below which blocks enter while the profile is
             undecided.
+        steady: rad, turn by further Gauss–Newton steps below which that heading has settled.
         pull: rad, standard deviation about the vertical of the prior that turns the graph; about the other axes it is
             1 rad.
         resisted: number of consecutive blocks at which the other factors contradict the prior until it is removed.
@@ -53,6 +54,7 @@ class AlignmentLimits:
     apart: float = 0.01
     persistence: int = 3
     confident: float = np.radians(15.0)
+    steady: float = np.radians(3.0)
     pull: float = np.radians(2.0)
     resisted: int = 10
     blocks: int = 200

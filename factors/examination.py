@@ -25,7 +25,10 @@ _QUIET = 4  # blocks not judged after waiting blocks have entered, until their q
 _QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
 _LEAST_SOFT_IRON = 0.1  # eigenvalue of a soft iron where the field is known; 0.8 to 1.2 in instruments
 _NEARLY_ZERO = "the readings do not follow the field, as those of a dead, stuck or shielded sensor"
-_EARLY = 30  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
+_UNJUDGED = "blocks have entered and are not judged yet: the heading may be off by far more than its sigma"
+_UNEXAMINED = "no block is judged without examine=True"
+_LOOKS = 8, 4  # number of updates with blocks until, and between, looks for large angles before blocks are judged
+_EARLY = 15  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
 
 
 class Examiner:
@@ -80,6 +83,10 @@ class Examiner:
         if waited:
             self.settling()
         self.additions += 1
+        for details in (each.details for each in entered if each.details is not None):
+            self.mounting.blocks += details.freed is not None
+            self.field.blocks += holds_field(details)
+            self.monitor.unjudged = self.monitor.unjudged or (_UNJUDGED, details.block.time)
         self.check_soft_irons(entered, view)
         if not self.quiet:
             if len(entered) > 1:  # one step from a start that may be far off is no estimate to judge them at
@@ -87,6 +94,7 @@ class Examiner:
             else:
                 self._judge_now(entered, view, delivered)
         self.quiet = max(self.quiet - len(entered), 0)
+        self._look(view, delivered)
 
     def judge_late(self, view: View, delivered: list[Delivered], *, settled: bool) -> None:
         """Examine the blocks that entered several at a time, once quadratics are settled or were stale for long."""
@@ -98,11 +106,21 @@ class Examiner:
         """Examine blocks, and what they hold where that is due."""
         for each in blocks:
             self._examine(each, view, self.mounting)
-        if not (self.monitor.open or self.monitor.over):
-            if self.mounting.due or self.field.due:
-                self._free(view, delivered)
-            elif self.mounting.early or self.field.early:
-                self._free(view, delivered, gross=True)
+
+    def _look(self, view: View, delivered: list[Delivered]) -> None:
+        """Solve the graph with what its blocks hold free where that is due.
+
+        Before any block has been judged, as while the graph goes on turning to wrong axes, only for large angles.
+        """
+        judged, first = bool(self.monitor.fits), self.additions - _LOOKS[0]
+        early = self.mounting.early | self.field.early
+        if not judged:
+            early = first >= 0 and first % _LOOKS[1] == 0
+        due = judged and (self.mounting.due or self.field.due)
+        if due and not (self.monitor.open or self.monitor.over):
+            self._free(view, delivered)
+        elif early:
+            self._free(view, delivered, gross=True)
 
     def settling(self) -> None:
         """Leave the next blocks unjudged, until the quadratics are renewed."""
@@ -126,6 +144,9 @@ class Examiner:
             for each in blocks:
                 self._examine(each, view, None)
             self._free(view, blocks)
+        else:
+            times = [each.details.block.time for each in blocks if each.details is not None]
+            self.monitor.unjudged = (_UNEXAMINED, min(times)) if times else None
 
     def check_soft_irons(self, blocks: Sequence[Delivered], view: View) -> None:
         """Report the soft irons of these blocks that no magnetometer has: not positive definite, or nearly zero."""
@@ -138,7 +159,10 @@ class Examiner:
                     f"soft iron {key_name(key)} with the eigenvalue {least:.2g}, which must be above {limit:g}: "
                 )
                 text += CHECK_AXES if least <= 0 else _NEARLY_ZERO
-                self.monitor.hold(f"soft iron {key}", least <= limit, text, details.block.time)
+                wrong = least <= (
+                    0.0 if self.quiet else limit
+                )  # in stale quadratics it may be small for some blocks
+                self.monitor.hold(f"soft iron {key}", wrong, text, details.block.time)
 
     def disturbed(self, delivered: list[Delivered]) -> list[Delivered]:
         """Return the blocks inside disturbances that have ended since the last call; the next blocks are not judged."""
@@ -164,7 +188,6 @@ class Examiner:
         sizes = [zero.at(key).size for key in keys]
         start = sum(sizes[: keys.index(details.hard_iron_key)])
         unit, turn = details.field_unit, np.eye(3)
-        self.field.blocks += holds_field(details)
         if free is not None and mounting is not None:
             axis = heading_axis(point, details.attitude_key)
             mounting.add(free, axis, covariance, counts=not self.monitor.open)

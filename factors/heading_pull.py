@@ -15,6 +15,7 @@ _SEEN = 0.02  # share of the prior's variance that the other factors must take a
 _UNLIKELY = 1e-9  # probability of the prior's innovation below which they do
 # From where iSAM2 linearised; of a graph that turns further its covariance says nothing.
 _TURNED = np.radians(15.0)
+_STEPS = 3  # of Gauss–Newton, after which a graph that stands half a turn off has moved by some degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +41,12 @@ class HeadingPull:
         return cls(key, turned.matrix(), sigma, _prior(point, key, turned, sigma))
 
     def resisted(self, view: View) -> float | None:
-        """Return the angle (rad) by which the solver's heading is off the target where its other factors contradict
+        """Return the angle (rad) from the heading of the solver's other factors to the target where they contradict
         the prior; None where they do not, or the graph is still turning.
 
-        With the prior in the graph, r the heading's distance from the target and P its variance, the innovation against
-        all other factors has the square r² / (σ² (1 − P / σ²)), as that of a block (`block_fit.py`).
+        With the prior in the graph, r the heading's distance from the target and P its variance, that angle is
+        r / (1 − P / σ²), and the innovation against all other factors has the square r² / (σ² (1 − P / σ²)), as that of
+        a block (`block_fit.py`).
         """
         if not view.exists(self.key) or view.new.exists(self.key):
             return None
@@ -53,9 +55,9 @@ class HeadingPull:
         left = 0.0 if sigma is None else 1 - (sigma / self.sigma) ** 2
         if left < _SEEN:
             return None
-        between = self.target @ rotation_of(point, self.key).T
-        angle = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
-        return angle if chdtrc(1, (angle / self.sigma) ** 2 / left) < _UNLIKELY else None
+        angle = turn_between(rotation_of(point, self.key), self.target)
+        unlikely = chdtrc(1, (angle / self.sigma) ** 2 / left) < _UNLIKELY
+        return float(np.clip(angle / left, -np.pi, np.pi)) if unlikely else None
 
 
 def _prior(point: gtsam.Values, key: int, turned: gtsam.Rot3, sigma: float) -> gtsam.NonlinearFactor:
@@ -121,10 +123,37 @@ def known_heading(view: View, point: gtsam.Values, key: int) -> float | None:
     (`relinearizeSkip`), it says nothing.
     """
     covariance = view.covariance([key])
-    if covariance is None:
-        return None
-    turned = np.linalg.norm(rotation_of(view.linearized([key]), key) - rotation_of(point, key))
-    return heading_sigma(point, key, covariance) if turned < np.sqrt(2) * _TURNED else None
+    return heading_sigma(point, key, covariance) if covariance is not None and linearized_near(view, key) else None
+
+
+def linearized_near(view: View, key: int) -> bool:
+    """Return whether a solver linearised an attitude that it holds near its present estimate."""
+    turned = np.linalg.norm(rotation_of(view.linearized([key]), key) - rotation_of(view.values([key]), key))
+    return bool(turned < np.sqrt(2) * _TURNED)
+
+
+def solved_turn(view: View, key: int) -> float | None:
+    """Return the largest angle (rad) by which the next Gauss–Newton steps of a solver's graph turn an attitude; None
+    where its variables are not determined.
+
+    Half a turn off, the gradient about the vertical is nearly 0: a graph whose relinearisation is still to come stands
+    there with a small standard deviation.
+    """
+    start, largest = view.estimate(), 0.0
+    graph, values = view.placed(view.factors()), start
+    for _ in range(_STEPS):
+        try:
+            values = values.retract(graph.linearize(values).optimize())
+        except RuntimeError:  # the variables are not determined
+            return None
+        largest = max(largest, abs(turn_between(rotation_of(start, key), rotation_of(values, key))))
+    return largest
+
+
+def turn_between(first: Array, second: Array) -> float:
+    """Return the angle (rad) about the vertical from one attitude (3, 3) to another."""
+    between = second @ first.T
+    return float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
 
 
 def _kind(point: gtsam.Values, key: int) -> str:

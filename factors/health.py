@@ -67,8 +67,8 @@ class Health:
 
     Attributes:
         status: `consistent`, `suspect`, `inconsistent`, or `waiting` while no block has entered or been judged.
-        by: the contradiction, with its size; empty where there is none.
-        since: s, time of the first block that contradicts; NaN where there is none.
+        by: the contradiction, with its size, or what is waited for; empty where there is none.
+        since: s, time of the first block that contradicts or is not judged; NaN where there is none.
         nis: NIS of the last blocks per degree of freedom.
     """
 
@@ -129,6 +129,7 @@ class Monitor:
         fits: fits of the last blocks.
         over: (first, last) in s of disturbances that have ended, and of steps after which new variables of the
             calibration have begun, whose blocks are still in the graph.
+        unjudged: what to report while blocks that have entered are not judged, and the time in s of the first of them.
     """
 
     def __init__(self, limits: HealthLimits) -> None:
@@ -142,6 +143,7 @@ class Monitor:
         self._since = float("nan")
         self._ended = -np.inf
         self.over: list[tuple[float, float]] = []
+        self.unjudged: tuple[str, float] | None = None
         self._held: dict[str, tuple[str, float]] = {}
 
     @property
@@ -208,7 +210,7 @@ class Monitor:
             text, since = next(iter(self._held.values()))
             return Health(HealthStatus.INCONSISTENT, text, since, nis)
         if not self.fits:
-            return Health(HealthStatus.WAITING)
+            return Health(HealthStatus.WAITING, *(self.unjudged or ()))
         last = self.fits[-1].time
         if self._began is not None:
             if self._named:

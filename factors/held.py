@@ -24,9 +24,9 @@ class HeldLimits:
         perhaps: evidence above which the graph is soon solved with the angles free.
         first: number of blocks at which it is solved in any case: 60 blocks of 2 s determine a mounting to 0.16°, and
             beside a position every second the field's heading to 0.1 to 0.3°.
-        early: number of blocks at which it is solved for a `gross` angle: positions whose errors last for half a minute
-            turned the field's heading by 7° at 30 blocks.
-        gross: rad.
+        early: (number of blocks, rad): where it is solved before, and for which angles: positions whose errors last for
+            half a minute turned the field's heading by 7° at 30 blocks.
+        gross: rad, angle of which the linear solution says no more than that it is large.
         evidence: evidence of that solution above which the angles count as wrong.
         growth: factors of the number of blocks between two solutions, with and without such evidence.
     """
@@ -36,7 +36,9 @@ class HeldLimits:
     excess: float = 1.3
     perhaps: float = 10.0
     first: int = 60
-    early: int = 20
+    early: tuple[tuple[int, float], ...] = tuple(
+        (n, math.radians(a)) for n, a in ((12, 20), (20, 15), (30, 10), (45, 7))
+    )
     gross: float = math.radians(30.0)
     evidence: float = 1e5
     growth: tuple[float, float] = (1.25, 3.0)
@@ -56,7 +58,7 @@ class Held:
         self._limits = limits
         self.blocks, self.wrong, self.since = 0, False, math.nan
         self._information, self._score = np.zeros((count, count)), np.zeros(count)
-        self._next, self._anyway, self._early = 0.0, float(limits.first), float(limits.early)
+        self._next, self._anyway, self._looked = 0.0, float(limits.first), 0
 
     @property
     def covariance(self) -> Array:
@@ -95,10 +97,15 @@ class Held:
 
     @property
     def early(self) -> bool:
-        """Whether to solve the graph for a large angle; asked once."""
-        due = self.blocks >= self._early
-        self._early = math.inf if due else self._early
-        return due
+        """Whether to solve the graph for a large angle; asked once at each of these numbers of blocks."""
+        before, self._looked = self._looked, self.blocks
+        return any(before < count <= self.blocks for count, _ in self._limits.early)
+
+    @property
+    def large(self) -> float:
+        """Angle (rad) that is looked for at this number of blocks, before the `first` solution."""
+        reached = [angle for count, angle in self._limits.early if count <= self.blocks]
+        return reached[-1] if reached else self._limits.gross
 
     @property
     def error(self) -> Array | None:
@@ -110,10 +117,10 @@ class Held:
         raise NotImplementedError
 
     def gross_by(self, fit: FreeFit) -> bool:
-        """Return whether a solution, which is not taken over, finds a large angle."""
+        """Return whether a solution, which is not taken over, finds such a large angle."""
         found = copy(self)
         found.solved(fit)
-        return found.certain and found.turn > self._limits.gross
+        return found.certain and found.turn > self.large
 
     def tried(self) -> None:
         """Record that the graph was solved with the angles free, whether there is a solution or not."""

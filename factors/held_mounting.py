@@ -84,7 +84,6 @@ class HeldMounting(Held):
             shift if np.abs(shift[: len(axis)]).max(initial=0.0) < self.limits.lever else np.zeros_like(shift)
         )
         self._axis = axis
-        self.blocks += 1
 
     def _carried(self, axis: Array, columns: int) -> Array:
         """Predict D for the next block's keys: of the attitude the rotation about the vertical, of the other keys

@@ -423,6 +423,7 @@ def test_an_update_that_fails_leaves_the_blocks_waiting(monkeypatch):
     """The heading has just been found near, so that all blocks would enter."""
     drive, native, isam = Drive(17, 172, duration=40.05), NativeFactors(), gtsam.ISAM2()
     monkeypatch.setattr(CoarseAlignment, "judge", lambda *_: HeadingVerdict.APART)
+    monkeypatch.setattr(native._admission, "_turning", lambda _: False)
     native.update(isam, *drive.start())
     for k in range(1, 8):
         native.update(isam, *drive.step(isam, k))
