@@ -296,6 +296,25 @@ def test_doubts_that_a_method_has_not_itself(compared: Comparison) -> None:
     )
 
 
+def test_what_the_smoother_finds_in_the_log_is_a_doubt_of_every_method() -> None:
+    """A jump of 9 µT: four methods stated the mean of both irons, and one of them was recommended."""
+    recording = mg.simulate("wide", 300, 20, seed=3).recording
+    step = np.where(recording.time[:, None] >= 150.0, [5e-6, 0.0, -8e-6], 0.0)
+    jumped = replace(recording, attitude=None, magnetic_field=recording.magnetic_field + step)
+    named = ("smoother", "wu-shi", "autocal", "sar-ls")
+    result = compare(jumped, named)
+    assert result.trusted == ()
+    reason = outcome(result, "wu-shi").reason
+    assert reason.startswith(
+        "smoother, which tests its model, does not trust this log: the field or the instrument"
+    )
+    late = recording.time + 0.001 * recording.time  # a clock says nothing about methods without the gyroscope
+    apart = mg.Recording.from_streams((late, recording.magnetic_field), (recording.time, recording.angular_rate))
+    result = compare(apart, named)
+    assert [each.method for each in result.trusted] == ["wu-shi", "autocal"]
+    assert outcome(result, "smoother").reason.startswith("the magnetometer's clock gains")
+
+
 def test_a_gyroscope_bias_that_contradicts_is_doubted(dive: mg.Simulation, compared: Comparison) -> None:
     """By many sigmas of both, however well the field fits; as far as both are known it is not."""
     smoother = outcome(compared, "smoother")

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators import methods
 from magyc_gtsam.estimators.autocal.autocal import inliers
+from magyc_gtsam.estimators.smoother.reasons import NOT_CONVERGED, TOO_LITTLE_MOTION
+from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Mask, Recording
 from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus, heading_error
 
+TESTS_THE_MODEL = "smoother"
+_OF_RATES = re.compile("gyroscope|clock|angular_rate|stamps")  # in a cause that is not one of the field
 ROBUST = ("autocal", "smoother")  # methods that detect disturbed samples
 _MANY = 6.0  # joint sigmas from which two methods contradict each other
 _MATTERS = {"hard_iron": 0.01, "gyro_bias": 1e-3}  # share of the field, and rad/s; smaller differences do no harm
@@ -80,11 +86,29 @@ def _doubted(comparison: Comparison, outcome: MethodOutcome) -> MethodOutcome:
     if _varies_more(comparison, outcome):
         doubts.append("the strength of the calibrated field varies more than that of the raw field")
     if outcome.status is OutcomeStatus.TRUSTED:
-        doubts += _apart(comparison, outcome)
+        doubts += _apart(comparison, outcome) or _refused_log(comparison, outcome.method)
     if not doubts:
         return outcome
     status = OutcomeStatus.DOUBTFUL if outcome.status is OutcomeStatus.TRUSTED else outcome.status
     return replace(outcome, status=status, reason="; ".join(doubts))
+
+
+def _refused_log(comparison: Comparison, method: str) -> list[str]:
+    """Return a message if the method that tests the model finds the log at fault; other methods do not see that.
+
+    Of a log whose iron jumped by 9 µT four methods stated the mean of both irons without a doubt. Too little motion for
+    that method says nothing about one that estimates less, and a fault of rates or clocks nothing about one that does
+    without rates.
+    """
+    tested = next((o for o in comparison.outcomes if o.method == TESTS_THE_MODEL), None)
+    if tested is None or tested.status is not OutcomeStatus.UNTRUSTED:
+        return []
+    cause = cause_and_action(next(iter(clauses(tested.reason)), ""))[0]
+    known = methods().get(method)
+    without_rates = known is not None and "angular_rate" not in known.needs
+    if cause.startswith((TOO_LITTLE_MOTION, NOT_CONVERGED)) or (without_rates and _OF_RATES.search(cause)):
+        return []
+    return [f"{tested.method}, which tests its model, does not trust this log: {cause}"]
 
 
 def _varies_more(comparison: Comparison, outcome: MethodOutcome) -> bool:

@@ -14,6 +14,10 @@ from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Recording
 
+TOO_LITTLE_MOTION, NOT_CONVERGED = (
+    "too little motion",
+    "no convergence",
+)  # begin sentences that are not on the data
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
 _LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
@@ -99,10 +103,10 @@ def doubts_of(fit: Fit, field_strength: float, observability: Observability) -> 
         along = ", ".join(f"{value:.0f}" for value in swept)
         much = "; turning over sweeps some 90 along each" if swept.min() < 90 else ""
         reasons.append(
-            f"too little motion (the field swept {along} µT along x, y, z{much}): {observability.weak[0].sentence}"
+            f"{TOO_LITTLE_MOTION} (the field swept {along} µT along x, y, z{much}): {observability.weak[0].sentence}"
         )
     if not fit.converged:
-        reasons.append(f"no convergence within {fit.iterations} iterations")
+        reasons.append(f"{NOT_CONVERGED} within {fit.iterations} iterations")
     return reasons
 
 
