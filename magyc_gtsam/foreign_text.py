@@ -34,7 +34,7 @@ def listed(names: Collection[object], separator: str = ", ") -> str:
 
 
 def two_digits(value: float) -> str:
-    """Return a number with two significant digits, and without an exponent from 100 to 100,000: "160", not "1.6e+02"."""
+    """Return a number with two significant digits, from 100 to 100,000 without an exponent: "163", not "1.6e+02"."""
     return f"{value:.0f}" if 99.5 <= abs(value) < 1e5 else f"{value:.2g}"
 
 
