@@ -150,3 +150,11 @@ def test_a_step_of_a_coarse_resolution_is_not_a_wrong_sample() -> None:
     field = recording.magnetic_field.copy()
     field[100::200] += [36e-6, -24e-6, 18e-6]
     assert set(mg.find_gap(replace(recording, magnetic_field=field), candidates=names).names) == set(names)
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_large_ones_that_a_passed_object_resembled_are_taken_out_later(seed: int) -> None:
+    """Beside the model of the first ones."""
+    gap = mg.find_gap(mg.simulate("wide", 300, seed=seed, effects=[("spikes", 3.0)]).recording)
+    assert (gap.verdict, gap.names) == ("closed", ("spikes",))
+    assert gap.effects[0].setting["count"] == pytest.approx(30, abs=3)

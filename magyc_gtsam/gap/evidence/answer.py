@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -94,19 +94,39 @@ def answer(
             form = name == "spikes" and score.statistic < PRIOR.form_of_field * tree.best.of_field
             # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
             rounded = stepped and name == "spikes" and score.value[0] < steps.value[0]
-            known_too = known > 0 and name != "tone"
+            taken_out = [one.name for one in left_out]  # beside a better model more of them may be seen
+            known_too = known > 0 and name != "tone" and name not in taken_out
             if name not in names or known_too or odds < PRIOR.hardly_single or form or rounded:
                 continue
             said[name] = max(odds, known)
             if odds > 0:
                 recording, taken = without(recording, model, fine, score)
-                left_out.append(taken)
+                left_out = _with(left_out, taken)
                 problem = problem_of(recording)
                 fine, found = singles_of(recording, model)
         if recording is before or _same(tree.best, problem):
             break
     assert tree is not None
     return Answer(recording, tree, _posterior(tree, said, COLOUR in names), tuple(left_out))
+
+
+def _with(scores: list[NoiseScore], one: NoiseScore) -> list[NoiseScore]:
+    """Return the scores with one more, wrong samples together with those that were taken out before."""
+    before = next((each for each in scores if each.name == one.name == "spikes"), None)
+    if before is None:
+        return [*scores, one]
+    count = np.array([before.setting["count"], one.setting["count"]])
+    square = count @ np.array([before.value[0], one.value[0]]) ** 2 / count.sum()
+    both = replace(
+        before,
+        statistic=before.statistic + one.statistic,
+        evidence=before.evidence + one.evidence,
+        value=np.array([np.sqrt(square)]),
+        sigma=np.array([np.sqrt(square / (6 * count.sum()))]),
+        setting={key: before.setting[key] + one.setting[key] for key in ("share", "count")},
+        rows=None,
+    )
+    return [both if each is before else each for each in scores]
 
 
 def _same(node: Node, problem: Problem) -> bool:
