@@ -29,7 +29,7 @@ _OPTIONS = (
         "heading",
         "prior",
     ),
-    *("hard_iron_walk", "soft_iron_walk", "misalignment", "gyroscope_scale", "noise", "force"),
+    *("hard_iron_walk", "soft_iron_walk", "misalignment", "gyroscope_scale", "noise", "force", "battery_voltage"),
     "calibration",
 )
 _OF_TABLES = ("time", "time_unit", "rate", "columns")

@@ -110,7 +110,7 @@ def motors_of(term: Term, voltage: float | None) -> tuple[Array, Array]:
     if voltage is None or not 0 < voltage < np.inf:
         raise MagycError(
             "per motor: ArduPilot multiplies a motor's output by the voltage of the battery, which is needed "
-            f"(--battery-voltage, battery_voltage=), in V; got {voltage}"
+            f"in V (battery_voltage=); got {voltage}"
         )
     if currents := [name for name in term.channels if is_one(name, "current")]:
         raise MagycError(
