@@ -14,6 +14,7 @@ from magyc_gtsam.gap.evidence import node as nodes
 from magyc_gtsam.gap.evidence.candidates import DRIFT
 from magyc_gtsam.gap.evidence.look import Look
 from magyc_gtsam.gap.evidence.node import Node
+from magyc_gtsam.gap.evidence.joint_fits import JointFits
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model import field_variation as variations
 from magyc_gtsam.gap.model.base import base_model
@@ -68,7 +69,7 @@ def test_a_set_without_a_fit_is_not_fitted_with_other_numbers_of_modes(monkeypat
     tree = Tree(base_of(drifting()), (DRIFT, "timing"))
     node = tree.nodes[(DRIFT,)]
     tried: list[float] = []
-    monkeypatch.setattr(Tree, "_fit", lambda self, model, known: tried.append(model.terms[0].setting["order"]))
+    monkeypatch.setattr(JointFits, "fit", lambda self, model, known: tried.append(model.terms[0].setting["order"]))
     assert tree._child(node, node.found["timing"]) is None
     assert tried == [node.fit.model.terms[0].setting["order"]] == [12.0]
     assert (DRIFT, "timing") in tree.refused

@@ -142,9 +142,9 @@ class Tree:
         Candidates that are as probable in the linear model as one that was added are fitted, too.
         """
         best = self.best
-        for node in list(self.nodes.values()):
+        for node in [each for each in self.nodes.values() if len(each.fit.model.terms) < PRIOR.depth]:
             added = [each for each in node.found.values() if node.key_with(each.name) == best.key]
-            for option in self._options(node) if len(node.fit.model.terms) < PRIOR.depth else ():
+            for option in self._options(node):
                 ahead = node is best or node.log + option.log + PRIOR.named > best.log
                 alike = any(option.log > other.log - PRIOR.alike for other in added)
                 if self._full or not (alike if added else ahead):
