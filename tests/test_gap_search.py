@@ -11,10 +11,12 @@ from scipy.interpolate import PchipInterpolator
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.evidence import node as nodes
+from magyc_gtsam.gap.evidence import tree as trees
 from magyc_gtsam.gap.evidence.candidates import DRIFT
+from magyc_gtsam.gap.evidence.joint_fits import JointFits
 from magyc_gtsam.gap.evidence.look import Look
 from magyc_gtsam.gap.evidence.node import Node
-from magyc_gtsam.gap.evidence.joint_fits import JointFits
+from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model import field_variation as variations
 from magyc_gtsam.gap.model.base import base_model
@@ -73,6 +75,16 @@ def test_a_set_without_a_fit_is_not_fitted_with_other_numbers_of_modes(monkeypat
     assert tree._child(node, node.found["timing"]) is None
     assert tried == [node.fit.model.terms[0].setting["order"]] == [12.0]
     assert (DRIFT, "timing") in tree.refused
+
+
+def test_candidates_that_the_linear_model_does_not_order_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside one that was added, within the nats by which the linear model may be wrong."""
+    names = (DRIFT, "hard-iron-step", "timing", "soft-iron-step", "local-anomaly")
+    usual = Tree(base_of(drifting()), names)
+    monkeypatch.setattr(trees, "PRIOR", replace(PRIOR, alike=1e3))
+    more = Tree(base_of(drifting()), names)
+    assert usual.nodes.keys() < more.nodes.keys()
+    assert more.best.log == usual.best.log
 
 
 @pytest.mark.parametrize("coloured", [False, True])
