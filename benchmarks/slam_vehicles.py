@@ -131,6 +131,14 @@ class Look:
         return abs(self.error) > max(3.0, 5 * self.sigma)
 
 
+class _Predicted:
+    """Values in place of a solver's estimates."""
+
+    def __init__(self, values):
+        self.calculateEstimatePose3, self.calculateEstimateVector = values.atPose3, values.atVector
+        self.calculateEstimateConstantBias = values.atConstantBias
+
+
 @dataclass
 class Graph:
     """A graph in iSAM2 on a vehicle's readings.
@@ -164,14 +172,8 @@ class Graph:
         settings.setFactorization("QR")
         settings.setRelinearizeThreshold(self.threshold)
         settings.relinearizeSkip = self.skip
-        self.isam, self.native, self._next = gtsam.ISAM2(settings), NativeFactors(), 0
-        self._buffer = KeyframeBuffer(body_R_sensor=self.mounting)
-        self._inertial = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY)
-        self._inertial.setGyroscopeCovariance(np.eye(3) * GYROSCOPE**2 / RATE)
-        self._inertial.setAccelerometerCovariance(np.eye(3) * ACCELEROMETER**2 / RATE)
-        self._inertial.setIntegrationCovariance(np.eye(3) * 1e-8)
-        self._inertial.setBiasAccCovariance(np.eye(3) * 1e-7)
-        self._inertial.setBiasOmegaCovariance(np.eye(3) * 1e-10)
+        self.isam, self.native = gtsam.ISAM2(settings), NativeFactors()
+        self._prepare()
         self.native.update(self.isam, *self._start())
         self.looks = []
         for k in range(1, self.vehicle.duration + 1):
@@ -180,12 +182,40 @@ class Graph:
                 self.looks.append(self._look(k))
         return self.looks
 
+    def batch(self) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        """Return the whole graph, and a start by dead reckoning with the inertial sensors."""
+        self._prepare()
+        graph, values = self._start()
+        self.isam = _Predicted(values)
+        for k in range(1, self.vehicle.duration + 1):
+            factors, predicted = self._step(k)
+            graph.push_back(factors)
+            values.insert(predicted)
+        return graph, values
+
+    def heading_error(self, values, k):
+        """Return the error of the heading at keyframe k, rad."""
+        return (values.atPose3(X(k)).rotation() * self._true(k).rotation().inverse()).yaw()
+
+    def _prepare(self):
+        self._next, self._buffer = 0, KeyframeBuffer(body_R_sensor=self.mounting)
+        self._inertial = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY)
+        self._inertial.setGyroscopeCovariance(np.eye(3) * GYROSCOPE**2 / RATE)
+        self._inertial.setAccelerometerCovariance(np.eye(3) * ACCELEROMETER**2 / RATE)
+        self._inertial.setIntegrationCovariance(np.eye(3) * 1e-8)
+        self._inertial.setBiasAccCovariance(np.eye(3) * 1e-7)
+        self._inertial.setBiasOmegaCovariance(np.eye(3) * 1e-10)
+
     def _start(self):
         vehicle, graph, values = self.vehicle, gtsam.NonlinearFactorGraph(), gtsam.Values()
         bias = gtsam.imuBias.ConstantBias(np.zeros(3), self.bias)
         first = gtsam.Rot3.Rz(self.heading) * gtsam.Rot3(vehicle.attitude[0].as_matrix())
         pose = gtsam.Pose3(first, vehicle.position[0])
-        graph.addPriorPose3(X(0), pose, SIGMAS(np.r_[0.1, 0.1, self.prior, 1, 1, 1]))
+        spread, turned = np.eye(6), first.matrix()
+        spread[:3, :3] = (
+            turned.T @ np.diag([0.1, 0.1, self.prior]) ** 2 @ turned
+        )  # in body axes, where it may tilt
+        graph.addPriorPose3(X(0), pose, gtsam.noiseModel.Gaussian.Covariance(spread))
         graph.addPriorVector(V(0), vehicle.velocity[0], ISOTROPIC(3, 1.0))
         graph.addPriorConstantBias(B(0), bias, SIGMAS(np.r_[[0.05] * 3, [0.02] * 3]))
         graph.addPriorVector(A(0), vech(np.eye(3)), ISOTROPIC(6, 0.3))
@@ -235,7 +265,7 @@ class Graph:
 
     def _look(self, k):
         values = self.isam.calculateEstimate()
-        error = (values.atPose3(X(k)).rotation() * self._true(k).rotation().inverse()).yaw()
+        error = self.heading_error(values, k)
         sigma = heading_sigma(values, X(k), self.isam.marginalCovariance(X(k)))
         iron = values.atPoint3(H(0)) * UNIT - self.vehicle.hard_iron if values.exists(H(0)) else np.full(3, np.nan)
         health, waiting = self.native.health, self.native.waiting

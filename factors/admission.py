@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -14,11 +13,8 @@ from magyc_gtsam.factors.calibration_before import calibration_before
 from magyc_gtsam.factors.delivered import Delivered
 from magyc_gtsam.factors.heading_pull import HeadingPull, known_heading, linearized_near, solved_turn
 from magyc_gtsam.factors.health import CHECK_AXES, Health, HealthStatus
-from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array
-
-Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
 
 
 @dataclass(eq=False)
@@ -154,32 +150,6 @@ class AdmissionControl:
         self.pull, self.pull_slot = None, -1
         return slots
 
-    def start(
-        self,
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        fresh: list[Delivered],
-        optimize: Optimize,
-    ) -> gtsam.Values:
-        """Return the initial values of a batch in which all blocks enter, turned where the blocks contradict their
-        heading.
-        """
-        self.entered, alignment = True, self._alignment
-        if alignment is None:
-            return values
-        for each in fresh:
-            if each.is_block:
-                assert each.details is not None
-                alignment.add(each.details)
-        if not len(alignment):
-            return values
-        prior = calibration_before(View(values), graph, alignment.last)
-        for _ in range(alignment.limits.persistence):
-            verdict = alignment.judge(values, *prior)
-        if verdict is not HeadingVerdict.FAR:
-            return values
-        return self._turned(graph, values, alignment.last, optimize)
-
     def _sure(self, view: View, point: gtsam.Values) -> bool:
         """Whether the graph's own heading is certain enough, at the last pose that the solver holds."""
         assert self._alignment is not None
@@ -204,33 +174,6 @@ class AdmissionControl:
         assert self._alignment is not None
         held = [key for key in self._alignment.attitudes if not view.new.exists(key) and view.exists(key)]
         return held[-1] if held else None
-
-    def _turned(
-        self,
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        last: BlockDetails,
-        optimize: Optimize,
-    ) -> gtsam.Values:
-        """Return the values of a batch after optimising its other factors with a prior on the heading."""
-        assert self._alignment is not None
-        turning = gtsam.NonlinearFactorGraph()
-        turning.push_back(graph)
-        assert self._alignment.profile is not None
-        turn = self._alignment.profile.best, self._alignment.limits.pull
-        turning.push_back(HeadingPull.of(values, last.attitude_key, *turn).factor)
-        loose = gtsam.noiseModel.Isotropic.Sigma
-        for key in {last.soft_iron_key, last.hard_iron_key} - set(turning.keyVector()):
-            turning.addPriorVector(key, values.atVector(key), loose(values.atVector(key).size, 1.0))
-        known = set(turning.keyVector())
-        start = gtsam.Values(values)
-        for key in list(values.keys()):
-            if key not in known:
-                start.erase(key)
-        found = optimize(turning, start)
-        result = gtsam.Values(values)
-        result.update(found)
-        return result
 
     @property
     def health(self) -> Health:

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import gtsam
 
-from magyc_gtsam.factors.admission import Optimize
+from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.factors.delivered import Delivered, Sorted
 from magyc_gtsam.factors.solver import View, predicted_decrease
+from magyc_gtsam.factors.turned_start import Optimize, turned_start
 from magyc_gtsam.factors.warm_up import narrow, robust_blocks
 
 # Decrease of the error (half squared sigmas) that is not worth another round: a tenth of a sigma.
@@ -37,24 +38,56 @@ class BatchSolution(NamedTuple):
 
 def best_solution(
     factors: Sorted,
-    starts: Sequence[gtsam.Values],
+    values: gtsam.Values,
+    limits: AlignmentLimits | None,
     optimize: Optimize | None,
     *,
     rounds: int,
     tolerance: float,
     quadratic: bool,
 ) -> BatchSolution:
-    """Solve a batch from each start and return the solution with the least error; arguments as in `solve_batch`."""
+    """Solve a batch from its start and from where its blocks turn that, and once more from where they turn a solution.
+
+    Half a turn off, a vehicle that stays level fits its blocks with a negative soft iron: a minimum that the blocks
+    themselves tell from the right one.
+
+    Args:
+        factors: of the batch.
+        values: where to begin.
+        limits: of the coarse alignment, which turns; None turns nothing.
+        optimize, rounds, tolerance, quadratic: as in `solve_batch`.
+
+    Returns:
+        The solution with the least error.
+    """
     others, fresh = factors.others, factors.fresh
-    solutions = [
-        solve_batch(others, values, fresh, optimize, rounds=rounds, tolerance=tolerance, quadratic=quadratic)
-        for values in starts
-    ]
+
+    def solved(start: gtsam.Values) -> BatchSolution:
+        return solve_batch(others, start, fresh, optimize, rounds=rounds, tolerance=tolerance, quadratic=quadratic)
+
+    def turned(start: gtsam.Values) -> gtsam.Values:
+        return turned_start(limits, others, start, fresh, optimize or minimum)
+
+    first = turned(values)
+    solutions = [solved(start) for start in ([values] if first is values else [first, values])]
+    best = min(solutions, key=lambda solution: _error(others, fresh, solution.values))
+    again = _calibration_of(values, fresh, best.values)
+    if (other := turned(again)) is not again:
+        solutions.append(solved(other))
     if len(solutions) == 1:
-        return solutions[0]
+        return best
     best = min(solutions, key=lambda solution: _error(others, fresh, solution.values))
     narrow(robust_blocks(each.factor for each in fresh), best.values)
     return best._replace(replaced=sum(solution.replaced for solution in solutions))
+
+
+def _calibration_of(start: gtsam.Values, fresh: Sequence[Delivered], values: gtsam.Values) -> gtsam.Values:
+    """Return values with soft and hard iron as in `start`."""
+    result = gtsam.Values(values)
+    for details in (each.details for each in fresh if each.details is not None):
+        for key in (details.soft_iron_key, details.hard_iron_key):
+            result.update(key, start.atVector(key))
+    return result
 
 
 def solve_batch(

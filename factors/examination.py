@@ -238,6 +238,8 @@ class Examiner:
         """
         mounting, field = self.mounting, self.field
         fit = free_fit(view, delivered, (mounting.limits.prior, field.limits.prior))
+        if fit is not None:
+            mounting.determined(fit)
         if gross and not (fit is not None and (mounting.gross_by(fit) or field.gross_by(fit))):
             return
         mounting.solved(fit)

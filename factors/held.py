@@ -41,7 +41,7 @@ class HeldLimits:
     )
     gross: float = math.radians(30.0)
     evidence: float = 1e5
-    growth: tuple[float, float] = (1.25, 3.0)
+    growth: tuple[float, float] = (1.25, 2.0)
 
 
 class Held:

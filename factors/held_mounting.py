@@ -13,7 +13,7 @@ evidence for a turned mounting, which at any time exceeds 1/α with a probabilit
 right (Ville's inequality). D does not follow what other
 factors correct between two blocks, and the sums miss most of a turn of 1°. The graph is therefore solved with the
 mounting free (`free_fit.py`), which is exact, above a low threshold of the evidence, and anyway whenever the number of
-blocks has grown threefold.
+blocks has doubled.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ class HeldMounting(Held):
 
     Attributes:
         shift: (p, 3) D of the last block's keys.
+        sigma: (3,) rad, standard deviations with which the last solution of the graph determines θ, the field being
+            right; None before.
     """
 
     def __init__(self, limits: MountingLimits) -> None:
@@ -58,6 +60,7 @@ class HeldMounting(Held):
         self.limits = limits
         self.shift: Array = np.zeros((0, 3))
         self._axis: Array = np.zeros(0)
+        self.sigma: Array | None = None
 
     def add(self, gram: Array, axis: Array, covariance: Array, *, counts: bool) -> None:
         """Add a block.
@@ -106,6 +109,11 @@ class HeldMounting(Held):
         if fit is not None:
             self._information, self._score = fit.information[:3, :3], fit.score[:3]
             self.shift, self._axis = fit.shift[:, :3], fit.axis
+
+    def determined(self, fit: FreeFit) -> None:
+        """Take over how well a solution determines θ, whether or not it is otherwise taken over."""
+        if fit.information[:3, :3].any():
+            self.sigma = np.sqrt(np.diag(np.linalg.inv(fit.information[:3, :3] + np.eye(3) / np.pi**2)))
 
     def considered(self, gram: Array, covariance: Array) -> tuple[Array, Array]:
         """Return the last block at the estimate with the mounting at its mean, and the mounting among the keys.

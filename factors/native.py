@@ -1,16 +1,12 @@
 """Conversion of Python factors to native ones that enter once the heading is settled, are renewed, and monitored.
 
-GTSAM hands each Python factor a copy of all `Values`, so that a Python factor costs more the larger the graph is.
-`NativeFactors` gives the graph a `LinearContainerFactor` instead, a quadratic that GTSAM evaluates without Python.
-It keeps the Python factor aside and replaces the quadratic once it is stale: when the quadratic's gradient at the
-present estimate differs from the factor's own by more than `tolerance` standard deviations.
+GTSAM hands each Python factor a copy of all `Values`, at a cost that grows with the graph. `NativeFactors` gives it a
+`LinearContainerFactor` instead, a quadratic without Python, and replaces that once it is stale: when its gradient at
+the present estimate differs from the Python factor's own by more than `tolerance` standard deviations.
 
-    native = NativeFactors()
-    graph.push_back(keyframe_field_factor(...))
     native.update(isam, graph, values)               # instead of isam.update(graph, values)
     native.health                                    # consistent, suspect or inconsistent, with the cause
-
-A batch: `graph, values = native.solve(graph, values)`.
+    graph, values = native.solve(graph, values)      # a batch
 """
 
 from __future__ import annotations
@@ -20,9 +16,9 @@ from typing import Any
 
 import gtsam
 
-from magyc_gtsam.factors.admission import AdmissionControl, Optimize
+from magyc_gtsam.factors.admission import AdmissionControl
 from magyc_gtsam.factors.alignment import AlignmentLimits
-from magyc_gtsam.factors.batch import best_solution, minimum
+from magyc_gtsam.factors.batch import best_solution
 from magyc_gtsam.factors.block_fit import BlockFit
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
@@ -34,6 +30,7 @@ from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.residence import Residence, present
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver, with_factors
 from magyc_gtsam.factors.staleness import Staleness
+from magyc_gtsam.factors.turned_start import Optimize
 from magyc_gtsam.factors.variables import Array
 from magyc_gtsam.factors.warm_up import WarmUp, robust_blocks
 
@@ -55,8 +52,7 @@ class NativeFactors(NotSaved):
     Attributes:
         replaced: number of replacements so far.
         withdrawn: number of blocks removed because they were disturbed.
-        settled: whether the last `solve` ended at a minimum, with no kernel narrowing; where `optimize` was given,
-            whether no quadratic was stale there.
+        settled: whether the last `solve` ended at a minimum, with no kernel narrowing (`optimize`: no stale quadratic).
     """
 
     def __init__(
@@ -100,6 +96,11 @@ class NativeFactors(NotSaved):
     def mounting_error(self) -> Array | None:
         """Rotation θ (3,) in rad for which ᵇRₛ Exp(θ) is the blocks' correct mounting; None where it is not wrong."""
         return None if self._examiner is None else self._examiner.mounting.error
+
+    @property
+    def mounting_sigma(self) -> Array | None:
+        """Standard deviations (3,) in rad of θ by the graph, below which no error is found; None before a solution."""
+        return None if self._examiner is None else self._examiner.mounting.sigma
 
     @property
     def field_error(self) -> float | None:
@@ -201,10 +202,9 @@ class NativeFactors(NotSaved):
         expect_values(graph.keyVector(), values.exists)
         new = sorted_factors(graph)
         expect_one_sensor(new.fresh)
-        turned = AdmissionControl(self._alignment).start(new.others, values, new.fresh, optimize or minimum)
-        starts = [values] if turned is values else [turned, values]  # the blocks may be wrong about the heading
+        limits, tolerance, quadratic = self._alignment, self.tolerance, self.quadratic
         own, fresh, values, self.settled, replaced = best_solution(
-            new, starts, optimize, rounds=rounds, tolerance=self.tolerance, quadratic=self.quadratic
+            new, values, limits, optimize, rounds=rounds, tolerance=tolerance, quadratic=quadratic
         )
         self._delivered = self._residence.batch = fresh
         self.replaced += replaced

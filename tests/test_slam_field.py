@@ -131,7 +131,7 @@ def test_the_fit_is_that_of_graphs_solved_with_turned_fields():
 
 def test_a_field_is_tried_again_sooner_where_there_is_a_doubt():
     limits = FieldLimits()
-    for score, again in ((0.0, 3.0), (4.0, 1.25)):
+    for score, again in ((0.0, 2.0), (4.0, 1.25)):
         field, sigma = HeldField(limits), np.radians(0.5)
         field.blocks = limits.first - 1
         assert not field.due

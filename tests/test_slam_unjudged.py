@@ -10,6 +10,7 @@ import pytest
 from gtsam.symbol_shorthand import X
 from scipy.spatial.transform import Rotation
 
+from magyc_gtsam.factors import NativeFactors
 from magyc_gtsam.factors.heading_pull import HeadingPull, solved_turn
 from magyc_gtsam.factors.held_field import FieldLimits, HeldField
 from magyc_gtsam.factors.solver import View
@@ -125,3 +126,21 @@ def test_a_contradicted_prior_says_how_far_the_other_factors_are_from_it():
     held = isam.calculateEstimatePose3(X(7)).rotation()
     assert pull.resisted(View(isam)) == pytest.approx(math.radians(40), abs=math.radians(8))
     assert abs((held * gtsam.Rot3(pull.target).inverse()).yaw()) < math.radians(38)
+
+
+@pytest.mark.parametrize(("kind", "known"), [("ship", True), ("car", False)])
+def test_how_well_a_mounting_could_be_judged_is_said(kind, known):
+    """5° about a level axis: found on a ship that tilts by 4°, and taken for 8 µT of iron on a car that tilts by 1°."""
+    turned = Rotation.from_euler("y", 5, degrees=True).as_matrix()
+    graph = Graph(Vehicle(kind, 450, 126, mounting=turned))
+    health, sigma = graph.run()[-1].health, np.degrees(graph.native.mounting_sigma)
+    assert graph.looks[0].health.status == "waiting"
+    assert graph.looks[-1].iron > 7.0
+    assert (health.by.startswith("mounting ") and sigma[:2].max() < 0.5) == known
+    assert (health.status == "consistent" and 0.8 < sigma[:2].min() < 2.0) == (not known)
+
+
+def test_nothing_is_said_of_a_mounting_that_no_block_holds():
+    native = NativeFactors()
+    assert native.mounting_sigma is None
+    assert NativeFactors(health=None).mounting_sigma is None
