@@ -74,7 +74,7 @@ def free_fit(view: View, delivered: Sequence[Delivered], priors: tuple[float, fl
     keys = [*last.factor.keys(), _FREE]
     try:
         tree = free.eliminateMultifrontal()
-        solution = tree.optimize()
+        mean = tree.marginalFactor(_FREE).solve(gtsam.VectorValues()).at(_FREE)
         joint = exact_covariance(tree.jointMarginalCovariance(keys), keys, lambda: graph)
     except RuntimeError:  # the variables are not determined
         return None
@@ -82,7 +82,7 @@ def free_fit(view: View, delivered: Sequence[Delivered], priors: tuple[float, fl
     assert last.details is not None
     return FreeFit(
         information - np.diag(prior**-2),
-        information @ solution.at(_FREE),
+        information @ mean,
         -joint[:-4, -4:] @ information,
         heading_axis(values, last.details.attitude_key),
         last.details.block.time,

@@ -36,9 +36,7 @@ class HeldLimits:
     excess: float = 1.3
     perhaps: float = 10.0
     first: int = 60
-    early: tuple[tuple[int, float], ...] = tuple(
-        (n, math.radians(a)) for n, a in ((12, 20), (20, 15), (30, 10), (45, 7))
-    )
+    early: tuple[tuple[int, float], ...] = tuple((n, math.radians(a)) for n, a in ((20, 15), (30, 10), (45, 7)))
     gross: float = math.radians(30.0)
     evidence: float = 1e5
     growth: tuple[float, float] = (1.25, 2.0)

@@ -35,6 +35,7 @@ class View:
         _check_solver(solver)
         self.solver, self.new = solver, gtsam.Values() if new is None else new
         self._held: gtsam.Values | None = None
+        self._estimate: gtsam.Values | None = None
 
     def exists(self, key: int) -> bool:
         """Whether the key has a value."""
@@ -75,8 +76,12 @@ class View:
         return held.extract(list(keys))
 
     def estimate(self) -> gtsam.Values:
-        """Return all values that the solver holds, without those of the coming update."""
-        return self.solver if isinstance(self.solver, gtsam.Values) else self.solver.calculateEstimate()
+        """Return all values that the solver holds, without those of the coming update; not to be changed."""
+        if isinstance(self.solver, gtsam.Values):
+            return self.solver
+        if self._estimate is None:
+            self._estimate = self.solver.calculateEstimate()
+        return self._estimate
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
         """Return a copy of the solver's graph, indexed by slots."""
