@@ -27,7 +27,7 @@ _LEAST_SOFT_IRON = 0.1  # eigenvalue of a soft iron where the field is known; 0.
 _NEARLY_ZERO = "the readings do not follow the field, as those of a dead, stuck or shielded sensor"
 _UNJUDGED = "blocks have entered and are not judged yet: the heading may be off by far more than its sigma"
 _UNEXAMINED = "no block is judged without examine=True"
-_LOOKS = 8, 4  # number of updates with blocks until, and between, looks for large angles before blocks are judged
+_LOOKS = 8, 100, 4  # range of the numbers of updates with blocks at which blocks that are not judged are looked at
 _EARLY = 15  # number of updates with blocks up to which quadratics that are far from settled postpone the judging
 
 
@@ -112,12 +112,12 @@ class Examiner:
 
         Before any block has been judged, as while the graph goes on turning to wrong axes, only for large angles.
         """
-        judged, first = bool(self.monitor.fits), self.additions - _LOOKS[0]
-        early = self.mounting.early | self.field.early
+        judged, early = bool(self.monitor.fits), self.mounting.early | self.field.early
         if not judged:
-            early = first >= 0 and first % _LOOKS[1] == 0
-        due = judged and (self.mounting.due or self.field.due)
-        if due and not (self.monitor.open or self.monitor.over):
+            early = self.additions in range(*_LOOKS)
+        if judged and (self.monitor.open or self.monitor.over):  # an offset looks like a turned mounting
+            return
+        if judged and (self.mounting.due or self.field.due):
             self._free(view, delivered)
         elif early:
             self._free(view, delivered, gross=True)
