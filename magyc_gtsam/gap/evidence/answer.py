@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -79,6 +80,7 @@ def answer(
         problem = problem_of(recording)
         # Steps wider than the noise hide it in the differences of successive samples.
         level = short_term._replace(magnetometer=max(short_term.magnetometer, white))
+    taken_beside: dict[str, Counter[str]] = {}  # the most probable set beside which an effect was taken out
     tree: Tree | None = None
     for turn in range(_ROUNDS):
         start = root(problem, _bare(base.model, level))
@@ -94,12 +96,14 @@ def answer(
             form = name == "spikes" and score.statistic < PRIOR.form_of_field * tree.best.of_field
             # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
             rounded = stepped and name == "spikes" and score.value[0] < steps.value[0]
-            taken_out = [one.name for one in left_out]  # beside a better model more of them may be seen
-            known_too = known > 0 and name != "tone" and name not in taken_out
+            # Effects that are there no longer were some of the wrong samples, which they hid.
+            hidden = name in taken_beside and bool(taken_beside[name] - Counter(tree.best.names))
+            known_too = known > 0 and name != "tone" and not hidden
             if name not in names or known_too or odds < PRIOR.hardly_single or form or rounded:
                 continue
             said[name] = max(odds, known)
             if odds > 0:
+                taken_beside[name] = Counter(tree.best.names)
                 recording, taken = without(recording, model, fine, score)
                 left_out = _with(left_out, taken)
                 problem = problem_of(recording)
