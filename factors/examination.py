@@ -159,9 +159,8 @@ class Examiner:
                     f"soft iron {key_name(key)} with the eigenvalue {least:.2g}, which must be above {limit:g}: "
                 )
                 text += CHECK_AXES if least <= 0 else _NEARLY_ZERO
-                wrong = least <= (
-                    0.0 if self.quiet else limit
-                )  # in stale quadratics it may be small for some blocks
+                # In stale quadratics it may be small for some blocks.
+                wrong = least <= (0.0 if self.quiet else limit)
                 self.monitor.hold(f"soft iron {key}", wrong, text, details.block.time)
 
     def disturbed(self, delivered: list[Delivered]) -> list[Delivered]:

@@ -14,10 +14,8 @@ from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Recording
 
-TOO_LITTLE_MOTION, NOT_CONVERGED = (
-    "too little motion",
-    "no convergence",
-)  # begin sentences that are not on the data
+# How the reasons begin that name no fault of the log.
+TOO_LITTLE_MOTION, NOT_CONVERGED = "too little motion", "no convergence"
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
 _LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
