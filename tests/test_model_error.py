@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Recording, calibrate, simulate
-from magyc_gtsam.estimators.model_error import component, model_error
+from magyc_gtsam.estimators.model_error import ModelError, component, model_error
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
@@ -44,6 +44,16 @@ def with_field(recording: Recording, world: np.ndarray) -> Recording:
         recording,
         magnetic_field=recording.magnetic_field + Rotation.from_quat(recording.attitude).inv().apply(world),
     )
+
+
+def test_without_one_of_correlated_effects_variances_stay_positive() -> None:
+    """The total of two effects that cancel is smaller than either; without one the other is left."""
+    other = component.Component("late drift", "", 0.0, 9.0, np.diag([4.0, 1.0]))
+    left = component.Component("gain drift", "", 0.0, 9.0, np.diag([3.0, 2.0]))
+    error = ModelError(np.diag([1.0, 2.5]), (other, left), (replace(left, name="bend"),))
+    np.testing.assert_array_equal(error.without("late drift").covariance, 2 * left.covariance)
+    assert error.without("late drift").components == (left,)
+    assert error.without("play") is error
 
 
 def test_a_column_moves_the_parameters_as_a_new_fit_does(fit) -> None:

@@ -72,12 +72,17 @@ class ModelError:
         return replace(self, covariance=covariance, components=kept, possible=())
 
     def without(self, name: str) -> ModelError:
-        """Return the error without an effect, whether the data show it or not."""
-        left = (c.covariance for c in self.components + self.possible if c.name == name)
+        """Return the error without an effect, whether the data show it or not.
+
+        What is left is the sum over the other effects: those that the data show are correlated, so that the total less
+        one of them may have negative variances.
+        """
         components, possible = (
             tuple(c for c in each if c.name != name) for each in (self.components, self.possible)
         )
-        covariance = self.covariance - sum(left, np.zeros_like(self.covariance))
+        if len(components) + len(possible) == len(self.components) + len(self.possible):
+            return self
+        covariance = sum((c.covariance for c in components + possible), np.zeros_like(self.covariance))
         return replace(self, covariance=covariance, components=components, possible=possible)
 
     def beside(self, other: Component) -> ModelError:
