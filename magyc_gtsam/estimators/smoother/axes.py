@@ -22,10 +22,12 @@ _LEAST_SAMPLES = 60  # magnetometer samples of three values each, for nine unkno
 _PAIRS = 3000  # pairs of means that are compared
 _TURN = 0.3  # rad of rotation between the means of a pair: above their noise, yet small
 _LAGS = (0.1, 2.0)  # s between the means of a pair
-_CLEARLY = 0.5  # share of the squared misfit below which another arrangement is clearly better
-_ALONE = 0.85  # share of the second-best arrangement's misfit above which the best is ambiguous
-_POOR = 0.2  # share left unexplained below which the given arrangement is accepted
-_EXPLAINS = 0.25  # largest share of the field's variation that an accepted arrangement leaves unexplained
+# Share of the squared misfit below which another arrangement is clearly better, and share of the second-best one's
+# above which the best is ambiguous. Of 353 random parts of 35 real logs and 600 logs of the fault study, exchanged at
+# random, they detect 805 of 932; as they are they accuse one, a log of 1 Hz. With bounds on what either arrangement
+# may leave unexplained it was 742: in a room the true one left 0.26, the others 0.8 to 1.8.
+_CLEARLY = 0.5
+_ALONE = 0.85
 
 _MATRICES = np.array(
     [
@@ -126,8 +128,7 @@ def check(recording: Recording) -> None:
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
     # Even without a gyroscope, a constant bias explains a turn at constant rate.
     (still,) = _unexplained(_normal_matrix(*_pairs(recording, _SCALES[best.unit])), np.zeros((1, 3, 3)))
-    limit = min(_EXPLAINS, _CLEARLY * given.unexplained, _CLEARLY * still, _ALONE * ranked[1].unexplained)
-    if given.unexplained < _POOR or best.unexplained > limit:
+    if best.unexplained > min(_CLEARLY * min(given.unexplained, still), _ALONE * ranked[1].unexplained):
         return
     as_given, otherwise = f"{max(1 - given.unexplained, 0):.0%}", f"{1 - best.unexplained:.0%}"
     if best.unit:
