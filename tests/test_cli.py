@@ -27,6 +27,8 @@ from commands import COMMAND, Finished, installed, run
 import magyc_gtsam as mg
 from magyc_gtsam import cli
 from magyc_gtsam.cli.reading import Reading, parse_pairs
+from magyc_gtsam.cli.results import EXPORTS
+from magyc_gtsam.cli.terminal import show
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.option_names import as_options
 from magyc_gtsam.recording.axes import parse_axes
@@ -481,6 +483,36 @@ def test_apply(
     assert "apply and history refuse it as a LOG" in help_text.replace("`", "")
     taken = run("calibrate", f"out.{suffix}", "-o", "of_output", cwd=tmp_path)  # by all others, with a note
     assert "note: the field is calibrated already" in taken.stdout, taken.stderr
+    rest = tmp_path / "of_output"  # of the calibration before: neither exported nor applied
+    for name in EXPORTS.values():
+        assert "holds only the rest that the one before has left" in (rest / name).read_text(encoding="utf-8")
+    assert "Paste the parameters" not in (rest / "report.html").read_text(encoding="utf-8")
+    for words in (
+        ("export", rest / "calibration.yaml", "ros"),
+        ("apply", rest / "calibration.yaml", shifted, "-o", "a.csv"),
+    ):
+        assert "calibrate the log as it was recorded" in refused(run(*words, cwd=tmp_path))
+    repeated = run("calibrate", "--config", rest / "configuration.yaml", "-o", "repeated", cwd=tmp_path)
+    assert repeated.returncode == taken.returncode, repeated.stderr
+
+
+def test_a_sentence_that_is_wrapped_keeps_its_indent(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "40")
+    long = "no parameter is determined by a motion that does not turn through all headings"
+    show(f"  {long}", "verdict")
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith("  ") and not line.startswith("   ") for line in lines)
+    assert " ".join(" ".join(lines).split()) == long
+    assert last == "verdict"
+
+
+def test_a_result_is_no_log(result: tuple[Finished, Path], tmp_path: Path) -> None:
+    for name in ("calibration.yaml", "configuration.yaml"):
+        assert "a result of magyc-gtsam, not a log" in refused(run("calibrate", result[1] / name, cwd=tmp_path))
 
 
 def test_apply_of_a_calibration_of_another_instrument(

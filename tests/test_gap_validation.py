@@ -158,6 +158,7 @@ def test_a_result_with_a_jump_holds_on_the_next_log(tmp_path: Path, capsys: pyte
     assert cli.main(asked) == 0
     said = capsys.readouterr().out
     for text in (said, (tmp_path / "out" / "report.html").read_text()):
+        assert "ump of the hard iron: found at " in text
         assert "s of another recording, it counts as set in" in text
     given = ["--calibration", str(tmp_path / "out" / "calibration.yaml"), "--candidates", "timing"]
     assert cli.main(["gap", str(tmp_path / "later.mcap"), *given, "-o", str(tmp_path / "next")]) == 0

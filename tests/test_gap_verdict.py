@@ -21,6 +21,7 @@ from magyc_gtsam.gap.outcome.doubt import LOG_MORE, left_open
 from magyc_gtsam.gap.outcome.unsure import doubt_whether, in_brief
 from magyc_gtsam.gap.outcome.verdict import manoeuvre
 from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Manoeuvre, Status
+from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
 from magyc_gtsam.simulation.sensor import Simulation
 from magyc_gtsam.study.faults.catalogue import FAULTS
@@ -63,6 +64,12 @@ def test_a_correction_that_does_not_help_is_the_banner() -> None:
     assert not judged.calibration.trusted
     with pytest.raises(mg.MagycError, match=r"does not hold on other\.mcap"):
         judged.calibration.export("px4")
+    shown = replace(judged, diagnostics={"left_out": ()})
+    page = render_gap(mg.simulate("wide", 20).recording, shown, validation, verdict)
+    assert "Use the correction on this log only, with <code>magyc-gtsam apply --force</code>." in page
+    assert "Do not use this calibration" not in page
+    assert "Use the correction only after" not in page
+    assert "rms per axis; " in page
 
 
 def test_cause_and_action_are_thirty_words_at_most() -> None:

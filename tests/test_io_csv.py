@@ -125,6 +125,18 @@ def test_two_magnetometers(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(path, magnetic_field="gps").magnetic_field, 2 * FIELD)
 
 
+def test_a_wrong_unit_that_was_given_is_named(tmp_path: Path) -> None:
+    recording = mg.simulate("wide", 20).recording
+    path = tmp_path / "a.csv"
+    table = np.column_stack([recording.time, recording.magnetic_field * 1e6])
+    np.savetxt(path, table, delimiter=",", header="time,mag_x,mag_y,mag_z", comments="")
+    with pytest.raises(MagycError, match="likely unit: µT"):
+        read(path)
+    with pytest.raises(MagycError, match="it was read in mT, as requested: name another unit, or none") as given:
+        read(path, magnetic_unit="mT")
+    assert "likely" not in str(given.value)
+
+
 def test_wrong_unit_is_named(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "t,mx,my,mz,gx,gy,gz", TIME, FIELD * 1e6, RATE * 180)
     with pytest.raises(MagycError, match="likely unit: µT"):

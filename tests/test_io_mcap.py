@@ -20,6 +20,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, info_and_recording, read, write_mcap
 from magyc_gtsam.io.ros2 import definition, encode
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.simulation import simulate
 
 EPOCH = 1_620_000_000_123_456_789
 IMU, MAG = "sensor_msgs/Imu", "sensor_msgs/MagneticField"
@@ -405,6 +406,15 @@ def test_what_an_imu_does_not_hold_is_not_listed(tmp_path: Path) -> None:
     assert recording is not None
     (imu,) = [source for source in described.sources if "angular_rate" in source.serves_as]
     assert imu.serves_as == ("angular_rate", "acceleration")
+
+
+def test_an_attitude_that_is_not_used_is_not_listed(tmp_path: Path) -> None:
+    recording = simulate("wide", 20).recording
+    assert recording.attitude is not None
+    write_mcap(tmp_path / "a.mcap", recording)
+    listed = {source.name: source.serves_as for source in info(tmp_path / "a.mcap").sources}
+    assert listed["/reference/attitude"] == ("attitude",)
+    assert listed["/imu/data_raw"] == ("angular_rate", "acceleration")
 
 
 def test_a_topic_that_begins_before_the_sensors(log: Path, tmp_path: Path) -> None:

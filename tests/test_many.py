@@ -107,7 +107,7 @@ def test_calibrate_a_folder(
     assert main(["calibrate", str(season), "--output", str(folder)]) == 2  # the worst
     output, errors = capsys.readouterr()
     assert output.count("✔") == 2
-    assert "1 of 3 logs have no trusted calibration" in errors
+    assert "without a trusted calibration: 1 of 3 logs" in errors
     assert "broken.csv" in errors
     with open(folder / "calibrations.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

@@ -1,6 +1,7 @@
 """Which motion and how long: what a plan promises is what a calibration of that motion states."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -77,6 +78,10 @@ def test_the_command(capsys, monkeypatch):
     assert "must be between 0 and 90" in capsys.readouterr().err
     assert cli.main(["calibrate", "--plan", "1", "log.mcap"]) == 2
     assert "needs no LOG and writes no files" in capsys.readouterr().err
+    assert cli.main(["calibrate", "--plan", "0.5"]) == 0
+    shown = re.findall(r"\(([\d.]+) µT\)", capsys.readouterr().out)
+    assert shown
+    assert all(len(number.replace(".", "").lstrip("0")) == 2 for number in shown)  # two digits, also of 1.0
     for option, value in (("--delay", "3"), ("--field-strength", "48"), ("--window", "2")):
         assert cli.main(["calibrate", "--plan", "1", option, value]) == 2
         assert f"{option}: has no effect on a plan" in capsys.readouterr().err

@@ -11,10 +11,12 @@ import numpy as np
 from magyc_gtsam.calibration.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.applied import is_calibrated
 from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES
 
-_OF_THE_RECORDING = ("gyroscope_axes", "magnetic_field_unit", "autopilot", "compass")  # entries of a configuration
+# Entries of a configuration.
+_OF_THE_RECORDING = ("gyroscope_axes", "magnetic_field_unit", "autopilot", "compass", "calibrated_before")
 
 
 def noted(calibration: Calibration, **diagnostics: Any) -> Calibration:
@@ -46,11 +48,13 @@ def as_mounted(calibration: Calibration, log: Mounted, compass: int | None = Non
 
     Args:
         calibration: of the log.
-        log: with its axes and autopilot.
+        log: with its axes and autopilot; whether its field was calibrated before is noted as well.
         compass: number of the magnetometer among those of its log, if it was given.
     """
     known: dict[str, Any] = {} if compass is None else {"compass": compass}
     known |= {} if log.gyroscope_axes == OWN_AXES else {"gyroscope_axes": log.gyroscope_axes}
+    if isinstance(log, Recording) and is_calibrated(log):
+        known["calibrated_before"] = True
     if log.autopilot is not None:
         known["autopilot"] = log.autopilot.to_dict()
         if isinstance(log, Recording):  # the calibrations of a history contain it

@@ -55,7 +55,7 @@ def run(
     from magyc_gtsam.calibration.calibrated import calibrated, lag_of, uneven, without_lag
     from magyc_gtsam.calibration.elsewhere import on_recording
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.recording.applied import as_calibrated, is_calibrated
+    from magyc_gtsam.recording.applied import ONLY_THE_REST, as_calibrated, is_calibrated
     from magyc_gtsam.recording.held import with_equal_samples
     from magyc_gtsam.recording.time_zero import time_zero_of
     from magyc_gtsam.report.verdict import judged
@@ -65,6 +65,8 @@ def run(
     if output.exists() and reading.log.exists() and output.samefile(reading.log):
         raise MagycError(f"--output: {output} is the log itself; name another file")
     calibration = Calibration.load(calibration_file)
+    if calibration.configuration.get("calibrated_before"):
+        raise MagycError(f"{calibration_file}: {ONLY_THE_REST}")
     if not calibration.trusted and not force:
         return refused(calibration)
     with replacing(output) as part, stages(shown=not quiet) as stage:

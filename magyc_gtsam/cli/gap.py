@@ -267,7 +267,7 @@ def _show(gap: Gap, validation: Validation | None, every: bool) -> None:
         show_table(words.METRICS, words.metric_rows(validation.before, validation.after))
         if validation.differences:
             show_table(words.DIFFERS, words.moved_rows(validation.differences))
-        show(*noted(validation.notes))
+        show(*noted([words.by_label(note) for note in validation.notes]))
     rejected = [a.sentence for a in gap.assumptions if a.rejected]
     if gap.assumptions:
         compared = sum(a.compared for a in gap.assumptions)

@@ -15,6 +15,7 @@ from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, distinct_names, headline, labels, shown, write_tables
 from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder, remove_results
 from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.storage.files import size_of
 
 if TYPE_CHECKING:
@@ -129,9 +130,8 @@ def calibrate_logs(
         show_results(folder, page="index.html")
     code = max(row["exit_code"] for row in table)
     if code:
-        complain(
-            f"{sum(bool(row['exit_code']) for row in table)} of {len(table)} logs have no trusted calibration"
-        )
+        failed = sum(bool(row["exit_code"]) for row in table)
+        complain(f"without a trusted calibration: {failed} of {counted(len(table), 'log')}")
         for row, label in zip(table, labels(table), strict=True):
             if row["exit_code"]:
                 complain(f"{label}: {row['sentence']}")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magyc_gtsam.cli.files import replacing
+from magyc_gtsam.foreign_text import counted
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -49,7 +50,7 @@ def distinct_names(logs: Iterable[Path]) -> dict[Path, str]:
 def headline(table: Sequence[Row]) -> tuple[str, str]:
     """Return the number of calibrated logs as a title, and as the first line on the terminal."""
     good = sum(row["exit_code"] == 0 for row in table)
-    title = f"{good} of {len(table)} logs calibrated"
+    title = f"{good} of {counted(len(table), 'log')} calibrated"
     return title, f"{'✔' if good == len(table) else '✘'} {title}"
 
 

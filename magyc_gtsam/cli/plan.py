@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.cli.terminal import show, show_json, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.study.plan import Planned
@@ -36,10 +34,9 @@ def show_plan(heading: float, options: dict[str, Any], quiet: bool, json: bool) 
             (noise[0], noise[1]), SmootherOptions(**chosen), durations=DURATIONS, progress=stage("planning")
         )
     if json:
-        import json as text
         from dataclasses import asdict
 
-        typer.echo(text.dumps({"heading_deg": heading, "planned": [asdict(each) for each in planned]}, indent=2))
+        show_json({"heading_deg": heading, "planned": [asdict(each) for each in planned]})
         return 0
     if quiet:
         return 0
@@ -72,4 +69,5 @@ def _cell(planned: Planned | None) -> str:
     if planned is None:
         return "–"
     time = f"{planned.duration:g} s" if planned.duration < 120 else f"{planned.duration / 60:g} min"
-    return f"{time} ({planned.hard_iron * 1e6:.2g} µT)"
+    iron = planned.hard_iron * 1e6
+    return f"{time} ({f'{iron:#.2g}' if iron < 9.95 else f'{iron:.0f}'} µT)"

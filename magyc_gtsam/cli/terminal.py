@@ -7,8 +7,10 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from magyc_gtsam.foreign_text import printable, with_minus
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 Progress = Callable[[float], None]
 
 _MOST_DETAILS = 4  # that are shown without --verbose
+_wrapped = partial(wrap, break_on_hyphens=False, break_long_words=False)
 _PIPE_WIDTH = 200  # columns; output to a file or pipe is not cut
 
 
@@ -77,7 +80,7 @@ def _stage_in_lines(name: str) -> Progress:
 
 
 def show(*sentences: str) -> None:
-    """Print sentences on standard output: wrapped at words on a terminal, one per line in a pipe."""
+    """Print sentences on standard output: wrapped at words to their indent on a terminal, one per line in a pipe."""
     if not sentences:
         return
     if not _on_a_terminal():
@@ -85,7 +88,11 @@ def show(*sentences: str) -> None:
         return
     output = console()
     for sentence in sentences:
-        output.print(_shown(sentence), markup=False, highlight=False)
+        text = _shown(sentence)
+        indent = text[: len(text) - len(text.lstrip(" "))]
+        lines = _wrapped(text, output.width, subsequent_indent=indent) if indent else [text]
+        for line in lines:
+            output.print(line, markup=False, highlight=False)
 
 
 def show_json(value: object) -> None:

@@ -25,6 +25,7 @@ from magyc_gtsam.export.vectornav import vectornav
 from magyc_gtsam.factors.effects.dated import afterwards
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording.applied import ONLY_THE_REST
 from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES, axes_text, parse_axes
 
@@ -150,6 +151,8 @@ def exported(
             )
         trusted = replace(calibration, converged=True, observability=None)
         return do_not_use(reason, exported(trusted, target, False, per_motor, battery_voltage))
+    if calibration.configuration.get("calibrated_before"):
+        raise MagycError(f"nothing for {target}: {ONLY_THE_REST}")
     if calibration.magnetic_field_unit == "counts":
         raise MagycError("a calibration in raw counts cannot be exported; calibrate in tesla")
     known = calibration.configuration.get("autopilot")

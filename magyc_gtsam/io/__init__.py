@@ -53,6 +53,7 @@ SUFFIXES = {  # of the logs that folders are searched for
 }
 _JSON = re.compile(rb"\s*(?:\{|\[\s*[\[{])")
 _DATAFLASH_TEXT = re.compile(rb"\s*FMT\s*,\s*\d+\s*,\s*\d+\s*,\s*\w+\s*,")
+_OWN_RESULT = re.compile(rb"format: magyc-gtsam |magyc_gtsam: [\d.]+\n")  # of calibrations, and configuration.yaml
 _WITHOUT_MAGIC = ("csv_log", "tlog")
 _KNOWN = (
     "MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag and .db3, MAVLink .tlog, Blackbox, a phone app's .zip"
@@ -123,9 +124,16 @@ def read(
     try:
         recording: Recording = reader.read(file, request)
     except MagycError as error:
-        if str(file) in str(error):
+        problem = str(error)
+        if magnetic_unit is not None and problem.startswith("magnetic_field: median norm"):
+            # The likely unit in the message is that of the numbers after the factor of the given one.
+            problem = problem[: problem.index(")") + 1]
+            problem += (
+                f"; it was read in {magnetic_unit}, as requested: name another unit, or none (magnetic_unit=)"
+            )
+        if str(file) in problem:
             raise
-        raise MagycError(f"{file}: {error}") from None
+        raise MagycError(f"{file}: {problem}") from None
     return recording if axes is None else in_magnetometer_axes(recording, axes)
 
 
@@ -153,8 +161,12 @@ def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[Log
     described = described.since(time_zero_of(recording))
     notes = tuple(n for n in recording.notes if n not in described.warnings)
     path_length = None if recording.angular_rate is None else turned(*recording.gyroscope)
-    # Messages of an IMU have a place for each of these, and say in themselves whether they hold one.
+    # Messages of an IMU have a place for each of these, and say in themselves whether they hold one. Beside
+    # an attitude of its own theirs is used only where it is named.
     absent = {name for name in ("attitude", "acceleration") if getattr(recording, name) is None}
+    elsewhere = any("attitude" in s.serves_as and "angular_rate" not in s.serves_as for s in described.sources)
+    if elsewhere and arguments.get("attitude") is None:
+        absent.add("attitude")
     sources = tuple(
         replace(each, serves_as=tuple(use for use in each.serves_as if use not in absent))
         if "angular_rate" in each.serves_as
@@ -199,6 +211,8 @@ def _reader(path: Path) -> ModuleType:
         raise MagycError(f"{path}: text in UTF-16; save it as UTF-8")
     if _DATAFLASH_TEXT.match(head):
         raise MagycError(f"{path}: an ArduPilot log as text; read the .BIN from which it was converted")
+    if _OWN_RESULT.match(head):
+        raise MagycError(f"{path}: a result of magyc-gtsam, not a log; name the log from which it was made")
     if _JSON.match(head):
         raise MagycError(
             f"{path}: JSON is not a format of logs; write a text table, or pass JSON lines to `magyc-gtsam online -`"

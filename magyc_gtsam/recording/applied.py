@@ -1,4 +1,7 @@
-"""The mark of a recording whose field is calibrated already, so that no calibration is applied to it again."""
+"""The mark of a recording whose field is calibrated already.
+
+No calibration is applied to it again, and a calibration of it is only the rest that the one before has left.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,10 @@ from magyc_gtsam.recording.recording import Recording
 
 CALIBRATED = (
     "the field is calibrated already: `magyc-gtsam apply` wrote it"  # a note, which writers and readers keep
+)
+ONLY_THE_REST = (
+    "the calibration is of a log that `magyc-gtsam apply` wrote, and holds only the rest that the one before has left; "
+    "use that one, or calibrate the log as it was recorded"
 )
 
 

@@ -10,7 +10,7 @@ from magyc_gtsam.gap.outcome.described import sentences
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import gap_charts, gap_words, words
-from magyc_gtsam.report.gap_verdict import Validation, judged_gap
+from magyc_gtsam.report.gap_verdict import ON_THIS_LOG, Validation, judged_gap
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict, said
 from magyc_gtsam.storage.json_types import json_types
@@ -58,6 +58,9 @@ def render_gap(
         metric_header=gap_words.METRICS,
         metric_rows=gap_words.metric_rows(gap.before, gap.after),
         validation=validation,
+        validation_notes=[]
+        if validation is None
+        else [said(gap_words.by_label(note)) for note in validation.notes],
         validation_rows=[] if validation is None else gap_words.metric_rows(validation.before, validation.after),
         differs_header=gap_words.DIFFERS,
         differs_rows=[] if validation is None else gap_words.moved_rows(validation.differences),
@@ -72,7 +75,9 @@ def render_gap(
 
 
 def _advice(gap: Gap, verdict: Verdict) -> list[str]:
-    if not verdict.trusted:
+    if verdict.action == ON_THIS_LOG:
+        lines = ["Use the correction on this log only, with `magyc-gtsam apply --force`."]
+    elif not verdict.trusted:
         lines = [f"Do not use this calibration: {verdict.action}."]
         if gap.verdict in ("none", "closed") and verdict.called:  # rejected because of another recording
             lines.append("Use the correction only after it holds on another log.")

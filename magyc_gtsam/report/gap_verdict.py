@@ -20,6 +20,7 @@ _WORSE = 0.005  # loss in nats per window that the correction may cause on the o
 _BETTER = 0.98  # ratio of prediction errors with and without correction, below which the correction helps there
 _NOISIER = 1.25  # ratio of the noise levels from which they count as different
 _FOREIGN = 0.1  # share of the field; a larger prediction error means another instrument, not a missing effect
+ON_THIS_LOG = "use the correction on this log only"
 MOST_EFFECTS = 3  # largest number of effects named singly in the verdict
 TITLES = {
     "none": "Nothing was found missing",
@@ -103,7 +104,7 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
     fell = [f"{value:.3f}".replace("-", "−") for value in (before, after)]
     return (
         fails,
-        Doubt("the correction makes its prediction no better", "use the correction on this log only"),
+        Doubt("the correction makes its prediction no better", ON_THIS_LOG),
         f"the log-likelihood per window falls from {fell[0]} to {fell[1]} there: what was found is not there, or "
         "is not a property of the instrument",
     )

@@ -33,7 +33,7 @@ def key_numbers(gap: Gap) -> list[Number]:
         Number(
             f"Error of the {loop.horizon:.0f} s prediction",
             _arrow(loop.rms * _MICRO, after.open_loop.rms * _MICRO, "µT"),
-            f"rms; {after.open_loop.floor * _MICRO:.2f} µT is expected from noise alone",
+            f"rms per axis; {after.open_loop.floor * _MICRO:.2f} µT is expected from noise alone",
         )
     ]
     if not len(loop.time):
@@ -78,7 +78,7 @@ def probability_sentence(gap: Gap) -> str:
     }
     likely = [(name, p) for name, p in gap.probabilities.items() if p >= _LEAST_PROBABILITY][:_MOST_PROBABILITIES]
     told = [f"{words.get(name) or LABELS[name]} {per_cent(p)}" for name, p in likely]
-    return f"Probabilities: {', '.join(told)}" if told else ""
+    return f"Probabilities (several can be present): {', '.join(told)}" if told else ""
 
 
 def per_cent(probability: float) -> str:
@@ -136,7 +136,7 @@ def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
     loop = before.open_loop
     rows = [
         [
-            f"Error of the {loop.horizon:.0f} s prediction, rms (µT)",
+            f"Error of the {loop.horizon:.0f} s prediction, rms per axis (µT)",
             f"{loop.rms * _MICRO:.3f}",
             f"{after.open_loop.rms * _MICRO:.3f}",
         ],
@@ -194,6 +194,12 @@ def assumption_rows(gap: Gap) -> list[list[str]]:
         ]
         for a in gap.assumptions
     ]
+
+
+def by_label(note: str) -> str:
+    """Return a note "name: sentence" on an effect with the effect's label in place of its name."""
+    name, colon, sentence = note.partition(": ")
+    return f"{LABELS.get(name, name)}{colon}{sentence}"
 
 
 def confusion_sentences(gap: Gap) -> list[str]:

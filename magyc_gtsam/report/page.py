@@ -193,7 +193,7 @@ def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -
         )
     ]
     sigma = systematic(turn, calibration)
-    if sigma is None:
+    if sigma is None or not verdict.trusted:  # the covariance of a result that is not trusted bounds nothing
         return figures
     sigma = np.minimum(sigma, 180.0)
     figures.append(

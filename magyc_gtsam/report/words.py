@@ -72,13 +72,14 @@ def key_numbers(
         largest = float(np.abs(turn.raw_error(calibration.soft_iron, calibration.hard_iron)).max())
         numbers.append(Number("Heading corrected by up to", f"{largest:.1f}°", "in a level turn"))
     heading = verdict.heading
-    numbers.append(
-        Number(
-            "Systematic heading error",
-            degrees(heading.systematic),
-            f"1σ, the worst heading of a level turn; single samples {degrees(heading.per_sample)}",
+    if verdict.trusted:  # the covariance of another result does not bound its error
+        numbers.append(
+            Number(
+                "Systematic heading error",
+                degrees(heading.systematic),
+                f"1σ, the worst heading of a level turn; single samples {degrees(heading.per_sample)}",
+            )
         )
-    )
     numbers += [
         Number("Field strength", f"{history.strength * _MICRO:.2f} µT", "of the calibrated field"),
         Number(
@@ -183,7 +184,7 @@ def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[t
             f"Check the logger: the data have {len(gaps)} gap{'s' if len(gaps) > 1 else ''}, the longest of "
             f"{longest.duration:.1f} s after {longest.start - recording.time[0]:.0f} s."
         )
-    if calibration.trusted:
+    if calibration.trusted and not calibration.configuration.get("calibrated_before"):
         lines.append("Paste the parameters and record again: the strength of the field should then stay constant.")
     return lines
 
