@@ -111,6 +111,20 @@ def test_what_is_marginalised_has_its_mean_and_covariance() -> None:
     np.testing.assert_allclose(value, -np.linalg.solve(information, rows @ residual / noise**2), rtol=1e-6)
 
 
+def test_an_estimate_has_no_negative_variance_where_rounding_leaves_no_information() -> None:
+    """As of three values of a drift under a constant acceleration; the root of one was not a number."""
+    flat, own = RANDOM.standard_normal((1, ROWS)), RANDOM.standard_normal((3, ROWS))
+    beside = Beside.of(RANDOM.standard_normal(ROWS), flat, flat[:0], np.zeros(0), np.zeros(1))
+    batch = Batch(np.arange(3)[None], (own @ own.T)[None], ("cubic",), ({},), np.zeros(1))
+    found = weigh(Candidates(own, np.zeros(3), (batch,)), beside)["cubic"]
+    for information in (np.diag([4.0, 1.0, -1e-5]), np.zeros((3, 3))):
+        value, covariance = replace(found, information=information, score=np.array([2.0, 1.0, 3.0])).estimate
+        known = np.diag(information) > 0
+        np.testing.assert_allclose(np.diag(covariance)[known], 1 / np.diag(information)[known])
+        assert not value[~known].any()
+        assert not covariance[~known].any()
+
+
 def test_probabilities_are_of_all_sets() -> None:
     posterior = {((), False): 0.2, (("timing",), False): 0.5, (("cubic", "timing"), True): 0.3}
     assert marginals(posterior) == pytest.approx({"timing": 0.8, UNKNOWN: 0.3, "cubic": 0.3, NOTHING: 0.2})
@@ -122,6 +136,17 @@ def test_a_share_is_kept_for_what_no_set_holds() -> None:
     assert stated == pytest.approx({NOTHING: 1 - PRIOR.unforeseen, UNKNOWN: PRIOR.unforeseen})
     assert PRIOR.named_from < 1 - PRIOR.unforeseen
     assert PRIOR.unforeseen < PRIOR.improbable
+
+
+def test_a_larger_share_is_kept_where_the_field_varies() -> None:
+    """Of an effect in the place of the names, beside the field; a name may still be sure enough to be given."""
+    stated = marginals(normalised({((FIELD_VARIATION, "cubic", "spikes"), False): 0.0}))
+    certain = 1 - PRIOR.unforeseen
+    sure = certain * (1 - PRIOR.unforeseen_in_room)
+    assert stated == pytest.approx(
+        {FIELD_VARIATION: certain, "cubic": sure, "spikes": sure, UNKNOWN: 1 - sure, NOTHING: 0.0}
+    )
+    assert PRIOR.named_from < PRIOR.missing_from < sure
 
 
 @pytest.mark.parametrize("unknown", [False, True])

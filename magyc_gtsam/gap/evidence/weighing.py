@@ -57,8 +57,13 @@ class Weighed:
 
     @property
     def estimate(self) -> tuple[Array, Array]:
-        """Return the estimate (k,) of the values at that setting, and its covariance, in units of what matters."""
-        covariance = np.asarray(np.linalg.pinv(self.information, rcond=LEAST, hermitian=True), dtype=float)
+        """Return the estimate (k,) of the values at that setting, and its covariance, in units of what matters.
+
+        Both are 0 in a direction without information, whose eigenvalue rounding may make negative.
+        """
+        value, vector = np.linalg.eigh(self.information)
+        known = value > LEAST * max(float(value[-1]), 0.0)
+        covariance: Array = (vector[:, known] / value[known]) @ vector[:, known].T
         return -covariance @ self.score, covariance
 
     @property
