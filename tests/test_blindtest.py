@@ -416,6 +416,32 @@ def test_what_is_stated_too_surely_is_not_true() -> None:
     assert sure.log > true.log
 
 
+def test_statements_about_a_real_log_count_where_their_truth_is_known(tmp_path: Path) -> None:
+    """Not those about what the log may have as it is, nor about what is unknown in it."""
+    said = {
+        "real-log-as-it-is-00": ((), {"hysteresis": 0.3, "timing": 0.97, "unknown": 0.2}),
+        "real-log-cubic-00": (("cubic",), {"cubic": 0.9, "hysteresis": 0.9, "timing": 0.97, "unknown": 0.9}),
+        "real-log-spikes-00": (("spikes",), {"spikes": 0.1, "cubic": 0.85, "nothing": 0.6}),
+    }
+    each = [
+        Scenario(label, "real", "log", 1, tuple((name, 1.0) for name in names))
+        for label, (names, _) in said.items()
+    ]
+    seal(tmp_path, each, {"log": simulate("wide", 60, seed=1).recording})
+    (tmp_path / "results").mkdir(exist_ok=True)
+    outcome = {"effects": [], "verdict": "closed", "cpu_seconds": 1.0}
+    for sealed in (tmp_path / "sealed").glob("*.json"):
+        label = json.loads(sealed.read_text())["scenario"]["id"]
+        result = outcome | {"probabilities": said[label][1]}
+        (tmp_path / "results" / sealed.name).write_text(json.dumps(result))
+    outcomes = score(tmp_path)
+    (row,) = reliability_rows(outcomes)
+    assert row[1:4] == ["2", "0.875", "0.500"]
+    scored = scores(outcomes)
+    assert scored is not None
+    assert scored.recordings == 2
+
+
 def test_the_number_of_processes_is_the_one_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     given = []
 

@@ -25,12 +25,8 @@ _EDGES = (
     1.0,
 )  # the last two are near the largest probability that is stated of a name, 0.985
 _LEAST = 1e-6  # smallest probability in the log score
-_SETS = (
-    "none",
-    "single",
-    "pair",
-    "foreign",
-)  # sets with a definite truth; without a channel another name may be fair
+# Sets with a definite truth; without a channel another name may be fair.
+_SETS = ("none", "single", "pair", "foreign", "real")
 
 
 class Scores(NamedTuple):
@@ -92,4 +88,5 @@ def _true(outcome: Outcome) -> tuple[str, ...]:
 
 
 def _scored(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    return [o for o in outcomes if o.probabilities and o.scenario.set in _SETS]
+    each = (o for o in outcomes if o.probabilities and o.scenario.set in _SETS)
+    return [o for o in each if o.scenario.effects or o.scenario.set != "real"]  # what a real log has is not known

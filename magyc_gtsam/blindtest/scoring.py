@@ -26,7 +26,10 @@ RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOM
     "refused",
     "crashed",
 )
-SEVERAL = "several names"
+SEVERAL, NOTHING = "several names", "nothing"
+# Probability from which a real recording may have an effect without one being put in: the truth of a statement about it
+# is then not known.
+_POSSIBLE = 0.05
 # Without a thermometer what warms is equivalent to a slow drift.
 _FAIR_WITHOUT_CHANNEL = {
     "temperature-hard-iron": ("hard-iron-drift",),
@@ -54,7 +57,8 @@ class Outcome:
         heading: systematic heading error before and after, deg; None if not computed.
         seconds: processor time of the diagnosis.
         stands_out: how far the effect stands out of the noise, sigmas; None if not computed.
-        probabilities: stated probabilities of each name, of "unknown" and of "nothing".
+        probabilities: stated probabilities of each name, of "unknown" and of "nothing"; of a real recording with an
+            injected effect, of those names whose truth is known.
     """
 
     number: str
@@ -111,16 +115,20 @@ def score(
             truth = opened(folder, number, manifest)
             pairs.append((number, _scenario(truth), json.loads(result.read_text(encoding="utf-8"))))
     already: dict[str, Already] = {}
+    uncertain: dict[str, set[str]] = {}
     for _, scenario, result in pairs:
         if scenario.set == "real" and not scenario.effects:
             there = already.setdefault(scenario.motion, {})
             for name, rivals in _there(result):
                 there[name] = there.get(name, frozenset()) | set(rivals)
+            stated = result.get("probabilities", {})
+            uncertain.setdefault(scenario.motion, set()).update(n for n, p in stated.items() if p >= _POSSIBLE)
     outcomes = []
     for done, (number, scenario, result) in enumerate(pairs):
         there = already.get(scenario.motion, {})
         if there.keys().isdisjoint(scenario.names):  # otherwise it would be found anyway
-            outcomes.append(_outcome(number, scenario, result, there, heading, standing))
+            undecided = there.keys() | uncertain.get(scenario.motion, set()) | {UNKNOWN, NOTHING}
+            outcomes.append(_outcome(number, scenario, result, there, undecided, heading, standing))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
 
@@ -161,12 +169,15 @@ def _outcome(
     scenario: Scenario,
     result: dict[str, Any],
     already: Already,
+    undecided: Container[str],
     heading: Heading,
     standing: Visibility,
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
+    stated: dict[str, float] = result.get("probabilities", {})
     if scenario.set == "real" and scenario.effects:
         named = beyond(named, scenario.names, already)
+        stated = {n: p for n, p in stated.items() if n in scenario.names or n not in undecided}
     verdict = result["verdict"]
     excess = None
     if "before" in result:
@@ -186,7 +197,7 @@ def _outcome(
         heading(scenario, result) if accepted else None,
         float(result["cpu_seconds"]),
         standing(scenario),
-        result.get("probabilities", {}),
+        stated,
     )
 
 

@@ -215,8 +215,19 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
 
 
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
-    """Return probabilities, with a share for an unknown effect alone that this comparison does not contain."""
+    """Return probabilities, with a share for what this comparison does not contain.
+
+    It is an unknown effect alone and, beside a varying field, one in the place of all names.
+    """
     total = np.logaddexp.reduce(list(logs.values()))
-    result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in logs.items()}
-    result[(), True] = result.get(((), True), 0.0) + PRIOR.unforeseen
+    result: dict[Set, float] = {}
+    in_room = 0.0
+    for (names, unknown), log in logs.items():
+        share = (1 - PRIOR.unforeseen) * float(np.exp(log - total))
+        other = PRIOR.unforeseen_in_room * share if FIELD_VARIATION in names else 0.0
+        result[names, unknown] = share - other
+        in_room += other
+    for key, more in ((((FIELD_VARIATION,), True), in_room), (((), True), PRIOR.unforeseen)):
+        if more:
+            result[key] = result.get(key, 0.0) + more
     return result
