@@ -196,3 +196,16 @@ def test_on_the_command_line(wide: Simulation, tmp_path: Path, capsys: pytest.Ca
     assert final["clipped"].startswith("angular_rate: axis y of the gyroscope cut off at ")
     assert main(["online", f"{tmp_path}/much.mcap", *run]) == 1
     assert "raise the gyroscope's full scale" in capsys.readouterr().err
+
+
+def test_the_rounding_of_a_change_of_axes_is_no_step_of_the_sensor() -> None:
+    """A coarse gyroscope at rest, then turned one way only: its largest values are 0 and ±1e-19."""
+    random, step = np.random.default_rng(0), 1.1e-3
+    rest = np.round(random.normal(-4.0, 2.0, (3000, 3)))
+    rest = np.where(rest > 0, -4.0, rest) * step
+    turning = -np.abs(np.sin(np.arange(1600)[:, None] * [0.01, 0.013, 0.017])) - 0.01
+    rate = np.concatenate([rest, np.round(turning / step) * step])
+    dust = rate + 1.3e-19 * random.integers(-1, 2, rate.shape)
+    field = 4e-5 + 1e-6 * random.standard_normal(rate.shape)
+    for value in (rate, dust):
+        assert find_clipped(mg.Recording(0.01 * np.arange(len(value)), field, value)) is None
