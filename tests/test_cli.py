@@ -510,6 +510,13 @@ def test_a_sentence_that_is_wrapped_keeps_its_indent(
     assert last == "verdict"
 
 
+def test_a_closed_output_leaves_the_exit_code(logs: Path, tmp_path: Path) -> None:
+    command = ["sh", "-c", '"$@" >&-', "sh", COMMAND, "calibrate", str(logs / "still.mcap"), "-o", "out"]
+    finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", check=False)
+    assert finished.returncode == 1, finished.stderr
+    assert "the result must not be trusted" in finished.stderr
+
+
 def test_a_result_is_no_log(result: tuple[Finished, Path], tmp_path: Path) -> None:
     for name in ("calibration.yaml", "configuration.yaml"):
         assert "a result of magyc-gtsam, not a log" in refused(run("calibrate", result[1] / name, cwd=tmp_path))

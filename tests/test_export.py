@@ -345,6 +345,8 @@ def test_ardupilot_compensates_motor_by_motor(moving: tuple[int, ...]) -> None:
         MagycError, match="multiplies a motor's output by the voltage of the battery, which is needed"
     ):
         calibration.export("ardupilot", per_motor=True)
+    with pytest.raises(MagycError, match="has no effect of the motors"):
+        replace(calibration, terms=(MOUNTING,)).export("ardupilot", per_motor=True, battery_voltage=12)
 
 
 def test_currents_of_motors_are_not_their_outputs() -> None:

@@ -32,7 +32,7 @@ def calibrate_accelerometer(task: Task, quiet: bool, json: bool) -> int:
 
         if method not in ("autocal", "smoother"):
             raise MagycError(f"--method: {method!r} cannot calibrate an accelerometer; leave it out for 'autocal'")
-        calibration = _calibrate(recording, task.options, MagycError)
+        calibration = _calibrate(recording, task.options)
         work(1.0)
         page = stage("drawing the page")
         calibration.save(part / "calibration.yaml")
@@ -51,23 +51,22 @@ def calibrate_accelerometer(task: Task, quiet: bool, json: bool) -> int:
     return concluded(verdict, shown=not (quiet or json))
 
 
-def _calibrate(
-    recording: Recording, options: dict[str, Any], problem: type[Exception]
-) -> AccelerometerCalibration:
-    """Calibrate; raise `problem` for an option that the method does not accept."""
+def _calibrate(recording: Recording, options: dict[str, Any]) -> AccelerometerCalibration:
+    """Calibrate; raise a MagycError for an option that the method does not accept."""
     from magyc_gtsam.estimators.autocal import accelerometer
+    from magyc_gtsam.factors.errors import MagycError
 
     function = accelerometer.calibrate_accelerometer
     unknown = sorted(options.keys() - (function.__kwdefaults__ or {}).keys())
     if unknown:
-        raise problem(
+        raise MagycError(
             f"--sensor accelerometer has no option {', '.join(map(repr, unknown))}; --option takes gravity=m/s², "
             "noise=m/s² and kernel=cauchy, huber, l1 or geman-mcclure"
         )
     try:
         return function(recording, **options)
     except TypeError as error:
-        raise problem(f"--option: the accelerometer's calibration cannot use it ({error})") from None
+        raise MagycError(f"--option: the accelerometer's calibration cannot use it ({error})") from None
 
 
 def _show(folder: Path, log: Path, recording: Recording, calibration: AccelerometerCalibration) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,7 +10,7 @@ import typer
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing
 from magyc_gtsam.cli.results import exported
-from magyc_gtsam.cli.terminal import concluded, refused
+from magyc_gtsam.cli.terminal import complain, concluded, refused, show, show_table
 
 
 def run(
@@ -73,7 +72,6 @@ def run(
 
 def _write(text: str, target: str, address: str) -> int:
     """List the parameters, ask for confirmation, write them, compare the values read back; return the exit code."""
-    from magyc_gtsam.cli.terminal import show, show_table
     from magyc_gtsam.live.mavlink_parameters import VehicleParameters, is_that, settings_of
 
     vehicle = VehicleParameters(address, target)
@@ -95,10 +93,9 @@ def _write(text: str, target: str, address: str) -> int:
     finally:
         vehicle.close()
     if wrong:
-        print(
-            f"magyc-gtsam: the vehicle did not accept {len(wrong)} of {len(settings)} parameters ({', '.join(wrong)}); "
-            "restart it, so that it shows parameters that were enabled, and write them again",
-            file=sys.stderr,
+        complain(
+            f"the vehicle did not accept {len(wrong)} of {len(settings)} parameters ({', '.join(wrong)}); restart it, "
+            "so that it shows parameters that were enabled, and write them again"
         )
         return 1
     show(f"{len(settings)} parameters written and confirmed; restart the vehicle")

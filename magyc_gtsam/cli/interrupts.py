@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from magyc_gtsam.cli.terminal import complain
 from magyc_gtsam.option_names import as_options
 
 _NOT_A_NUMBER = re.compile(r"('-+[a-zA-Z][^']*') is not a valid ")
@@ -26,7 +26,7 @@ class Stopped(KeyboardInterrupt):
 
 def interrupted(stop: KeyboardInterrupt) -> int:
     """Print that the command was interrupted, and return the exit code."""
-    print("magyc-gtsam: interrupted; no file is left half written", file=sys.stderr)
+    complain("interrupted; no file is left half written")
     return int(getattr(stop, "code", EXIT_CODES[signal.SIGINT]))
 
 

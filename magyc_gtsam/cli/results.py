@@ -69,11 +69,9 @@ def dated_folder(log: Path, what: str = "") -> Path:
 
 def write_page(folder: Path, recording: Recording, calibration: Calibration, verdict: Verdict) -> None:
     """Write report.html, with residuals if the method has a gyroscope bias."""
-    from magyc_gtsam.estimators.smoother.residuals import window_residuals
-    from magyc_gtsam.report.page import write_report
+    from magyc_gtsam.report.page import residuals_of, write_report
 
-    has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None
-    residuals = window_residuals(recording, calibration) if has_residuals else None
+    residuals = residuals_of(recording, calibration)
     write_report(folder / "report.html", recording, calibration, residuals, verdict)
 
 

@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from magyc_gtsam.cli.terminal import show
-
-_GIGABYTE = 1 << 30
+from magyc_gtsam.cli.terminal import show, show_page
 
 
 def run(
@@ -33,18 +31,16 @@ def run(
     Drop a log, choose an interval, view the report, copy the parameters. Requires the extra `serve`; stop it with
     Ctrl-C. The results are those of the command line, stored in LOGS/results.
     """
-    from magyc_gtsam.serve.limits import Limits
+    from magyc_gtsam.serve.limits import GIGABYTE, Limits
     from magyc_gtsam.serve.run import serve
 
     def ready(address: str) -> None:
         show(f"open {address}", "Ctrl-C ends")
         if open_page:
-            import webbrowser
-
-            webbrowser.open(address)
+            show_page(address)
 
     try:
-        serve(folder, port, host, Limits(upload=int(most * _GIGABYTE)), ready)
+        serve(folder, port, host, Limits(upload=int(most * GIGABYTE)), ready)
     except KeyboardInterrupt:
         show("ended")
     return 0

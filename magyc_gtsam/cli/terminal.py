@@ -178,7 +178,7 @@ def concluded(verdict: Verdict, shown: bool = False) -> int:
     """
     if verdict.trusted:
         return 0
-    if shown and sys.stdout.isatty() and sys.stderr.isatty():
+    if shown and all(stream is not None and stream.isatty() for stream in (sys.stdout, sys.stderr)):
         return 1
     called = f"{verdict.called[:1].lower()}{verdict.called[1:]}: " if verdict.called else ""
     complain(f"the result must not be trusted: {called + verdict.reason}")
@@ -227,11 +227,11 @@ def show_results(folder: Path, notes: Sequence[str] = (), page: str = "report.ht
     show(*noted(notes), "", f"results: {folder}", f"page: {folder / page}")
 
 
-def show_page(page: Path) -> None:
-    """Open a page in the browser; without one the path on the terminal has to do."""
+def show_page(page: Path | str) -> None:
+    """Open a file or an address in the browser; without one the path on the terminal has to do."""
     import webbrowser
 
-    webbrowser.open(page.resolve().as_uri())
+    webbrowser.open(page if isinstance(page, str) else page.resolve().as_uri())
 
 
 def show_details(verdict: Verdict, every: bool = False) -> None:

@@ -15,6 +15,7 @@ from magyc_gtsam.factors.effects.changes import referenced
 from magyc_gtsam.factors.effects.corrections import corrected_field
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording.autopilot import Autopilot
 
@@ -52,7 +53,7 @@ def with_terms(
         autopilot: of the log, if it is the target's.
 
     Raises:
-        MagycError: the effect of the motors cannot be compensated for each.
+        MagycError: the effect of the motors cannot be compensated for each, or there is none.
     """
     missing: list[str] = []
     found: dict[str, Any] = {}
@@ -84,6 +85,11 @@ def with_terms(
             term.side is not None and term.name != "misalignment"
         ):  # a term without a side that is not an exchange of axes concerns only the noise
             missing.append(term.name)
+    if per_motor and target == "ardupilot" and "motors" not in found:
+        raise MagycError(
+            "per motor: the calibration has no effect of the motors; export it without, or find the effect with the "
+            "outputs of the motors as channels"
+        )
     rotations = [term for term in terms if term.name in _ROTATIONS]
     if rotations:
         rotation = corrected_field(np.eye(3), np.eye(3), np.zeros(3), rotations, Signals(np.zeros(3)))

@@ -194,7 +194,7 @@ class History:
 
         It is not trusted where there is a `doubt`.
         """
-        following = next_calibration(self.factors, self._instruments[0], self.model)
+        following = next_calibration(self.factors, self._instruments[0])
         if self.doubt is None:
             return following
         return replace(following, converged=False, message=self.doubt.sentence)

@@ -14,7 +14,6 @@ from magyc_gtsam.history.bias_scatter import predicted_bias
 from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
 from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, LogFactor, calibration_of
-from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.pooled import delay_of, misalignment_of, scale_of
 from magyc_gtsam.recording import Array
 
@@ -41,7 +40,7 @@ def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int
     return _calibration(factors, instrument, mean, covariance, message, factor)
 
 
-def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model: HistoryModel) -> Calibration:
+def next_calibration(factors: Sequence[LogFactor], instrument: Instrument) -> Calibration:
     """Return the calibration for the next log: the last hard iron, its covariance widened by the walk, not by jumps."""
     mean, covariance = _without_bias(*instrument.ahead)
     mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument)

@@ -108,7 +108,6 @@ def _strength(recording: Recording, time: Array, raw: Array, calibration: Accele
     return over_time(
         "Length over time",
         "Lines: means; bands: range of the samples; dashed: gravity. At rest the calibrated line lies on it.",
-        recording,
         time - origin(recording),
         [
             (label, label, np.clip(value, *limits))

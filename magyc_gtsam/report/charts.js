@@ -196,6 +196,6 @@ function chosen(figure, spec, u) {
   }
   const [start, end] = [u.select.left, u.select.left + u.select.width].map((x) => u.posToVal(x, "x"));
   bar.hidden = false;
-  bar.querySelector("code").textContent = `--start ${(start + spec.origin).toFixed(1)} --end ${(end + spec.origin).toFixed(1)}`;
+  bar.querySelector("code").textContent = `--start ${start.toFixed(1)} --end ${end.toFixed(1)}`;
   for (const other of timeCharts) if (other !== figure && other.plot) other.plot.setScale("x", { min: start, max: end });
 }

@@ -127,7 +127,6 @@ def chart(
 def over_time(
     title: str,
     caption: str,
-    recording: Recording,
     time: Array,
     values: Sequence[tuple[str, str, Array]],
     ylabel: str,
@@ -141,8 +140,7 @@ def over_time(
 
     Args:
         title, caption: text above and below the figure.
-        recording: the recording whose clock `time` is counted on.
-        time: (n,) s since `origin(recording)`.
+        time: (n,) s since `origin` of the recording.
         values: (label, colour, values (n,)) of each series.
         ylabel: label of the vertical axis.
         strip: whether an interval can be dragged and copied.
@@ -155,11 +153,10 @@ def over_time(
     for label, colour, value in values:
         middle, mean, low, high = summary(time, value, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))
-    return chart(title, caption, middle, series, clock(recording, middle, ylabel, levels, spans, strip), wide=wide)
+    return chart(title, caption, middle, series, clock(middle, ylabel, levels, spans, strip), wide=wide)
 
 
 def clock(
-    recording: Recording,
     time: Array,
     ylabel: str,
     levels: Sequence[float] = (),
@@ -168,7 +165,7 @@ def clock(
 ) -> Frame:
     """Return the frame of a chart over time, in seconds or minutes."""
     long = float(time[-1] - time[0]) > _LONG
-    more = {"time": True, "divide": 60.0 if long else 1.0, "strip": strip, "origin": 0.0}
+    more = {"time": True, "divide": 60.0 if long else 1.0, "strip": strip}
     return Frame("Time (min)" if long else "Time (s)", ylabel, levels, spans, more=more)
 
 

@@ -124,7 +124,6 @@ def _strength(comparison: Comparison, outcome: MethodOutcome) -> Figure:
     return over_time(
         "Strength before and after",
         "",
-        comparison.recording,
         time - origin(comparison.recording),
         [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
         f"Strength ({unit})",
@@ -140,7 +139,6 @@ def _heading(comparison: Comparison, outcome: MethodOutcome) -> Figure:
     return over_time(
         "Heading error before and after",
         "",
-        comparison.recording,
         raw.time,
         [("raw", "raw", raw.error), ("calibrated", "calibrated", calibrated.error)],
         "Error (°)",

@@ -53,16 +53,14 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
     for label, colour, calibration in values:
         try:
             corrected = calibrated_on_time(calibration, recording)
-        except (
-            MagycError
-        ):  # the calibration has a term that needs a channel which this recording lacks, so there is no curve
+        except MagycError:  # a term needs a channel that this recording lacks: there is no curve
             continue
         assert corrected.attitude is not None
         rows = corrected.magnetic_field_fresh
         error = np.degrees(heading_error(corrected.magnetic_field[rows], corrected.attitude[rows]))
         middle, mean, low, high = summary(corrected.time[rows] - origin(recording), error, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))
-    frame = clock(recording, middle, "Heading error (°)", levels=[0.0])
+    frame = clock(middle, "Heading error (°)", levels=[0.0])
     return [chart("Heading against the reference", "The mean is removed.", middle, series, frame)]
 
 
@@ -85,7 +83,7 @@ def gap_map(recording: Recording, before: GapMap, after: GapMap) -> Figure:
         label, "Misfit (σ)", [1.0], logx=before.over == "frequency" and bool(before.centre[0] > 0), height=200
     )
     if before.over == "time":
-        frame = clock(recording, centre, "Misfit (σ)", levels=[1.0])
+        frame = clock(centre, "Misfit (σ)", levels=[1.0])
     return chart(f"Over {before.over}", f"{worst}{closing}.", centre, series, frame)
 
 
@@ -113,7 +111,7 @@ def _over_time(
     for label, colour, loop in loops:
         when, mean, _, _ = summary(loop.time - start, _length(loop), MOST_BINS)
         series.append(Series(label, colour, np.interp(middle, when, mean, np.nan, np.nan)))
-    frame = clock(recording, middle, "Prediction error (µT)")
+    frame = clock(middle, "Prediction error (µT)")
     limited = Frame(frame.xlabel, frame.ylabel, ylim=limits, more={**frame.more, "strip": True})
     hint = "Drag over an interval to copy it for the command line."
     return chart("Over time", f"{caption} {hint}", middle, series, limited, wide=True)

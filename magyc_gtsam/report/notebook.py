@@ -12,7 +12,6 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.calibration.signals import check_field_units
-from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.heading_uncertainty import turn_of
@@ -86,12 +85,9 @@ def report(calibration: Calibration, path: str | os.PathLike[str], recording: Re
         with whole_file(file) as part:
             figures.savefig(part, format="pdf")
         return file
-    from magyc_gtsam.report.page import write_report
+    from magyc_gtsam.report.page import residuals_of, write_report
 
-    has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None
-    return write_report(
-        path, recording, calibration, window_residuals(recording, calibration) if has_residuals else None
-    )
+    return write_report(path, recording, calibration, residuals_of(recording, calibration))
 
 
 def html_of(value: Calibration | Gap | Comparison) -> str:

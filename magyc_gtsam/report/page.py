@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.residuals import WindowResiduals
+from magyc_gtsam.estimators.smoother.residuals import WindowResiduals, window_residuals
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.heading_uncertainty import systematic, turn_of
 from magyc_gtsam.level_turn import LevelTurn, inclination
@@ -73,6 +73,13 @@ def write_report(
     return path
 
 
+def residuals_of(recording: Recording, calibration: Calibration) -> WindowResiduals | None:
+    """Return the residuals of the windows; None where there is no gyroscope or no bias of it."""
+    if recording.angular_rate is None or calibration.gyro_bias is None:
+        return None
+    return window_residuals(recording, calibration)
+
+
 def render(
     recording: Recording,
     calibration: Calibration,
@@ -98,8 +105,8 @@ def render(
         cautions=words.cautions(history),
         numbers=words.key_numbers(calibration, verdict, history, turn, visited),
         field=_sphere_figure(calibration, history, visited),
-        strength=_strength_figure(recording, history, time, stretches),
-        time_figures=[*_time_figures(recording, history, time), *_turn_figures(calibration, verdict, turn)],
+        strength=_strength_figure(history, time, stretches),
+        time_figures=[*_time_figures(history, time), *_turn_figures(calibration, verdict, turn)],
         has_reference=history.up is not None,
         residuals=fit,
         stretch=words.stretch,
@@ -126,15 +133,12 @@ def _sphere_figure(calibration: Calibration, history: FieldHistory, visited: Cov
     )
 
 
-def _strength_figure(
-    recording: Recording, history: FieldHistory, time: Array, stretches: Sequence[tuple[float, float]]
-) -> Figure:
+def _strength_figure(history: FieldHistory, time: Array, stretches: Sequence[tuple[float, float]]) -> Figure:
     raw, calibrated = (np.linalg.norm(field, axis=1) * _MICRO for field in (history.raw, history.calibrated))
     return over_time(
         "Strength of the field",
         "Drag over an interval to copy it for the command line and to zoom the charts below. Lines: means; bands: "
         "range of the samples; dashed: strength of the calibrated field; shaded: disturbed.",
-        recording,
         time,
         [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
         "Strength (µT)",
@@ -145,7 +149,7 @@ def _strength_figure(
     )
 
 
-def _time_figures(recording: Recording, history: FieldHistory, time: Array) -> list[Figure]:
+def _time_figures(history: FieldHistory, time: Array) -> list[Figure]:
     figures = []
     if history.up is not None:
         raw, calibrated = inclination(history.raw, history.up), inclination(history.aligned, history.up)
@@ -154,7 +158,6 @@ def _time_figures(recording: Recording, history: FieldHistory, time: Array) -> l
                 "Dip",
                 f"Angle of the field below the horizontal, by the {history.up_from}. It should be constant after "
                 "calibration.",
-                recording,
                 time,
                 [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
                 "Dip (°)",
@@ -168,7 +171,6 @@ def _time_figures(recording: Recording, history: FieldHistory, time: Array) -> l
                 "Heading error against the reference",
                 f"Standard deviation {np.nanstd(raw):.2f}° raw, {np.nanstd(calibrated):.2f}° calibrated: sensor noise "
                 "included, mean removed.",
-                recording,
                 time,
                 [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
                 "Error (°)",
@@ -230,15 +232,13 @@ def _residual_section(recording: Recording, residuals: WindowResiduals) -> Resid
         disturbed = disturbed_stretches(at, weight)
         stretches += disturbed
         figures += [
-            _residuals_over_time(recording, name, at, whitened, kept, weight),
+            _residuals_over_time(name, at, whitened, kept, weight),
             _histogram(name, whitened, kept),
         ]
     return ResidualSection(tuple(figures), tuple(_merged(stretches)))
 
 
-def _residuals_over_time(
-    recording: Recording, name: str, time: Array, whitened: Array, kept: Mask, weight: Array
-) -> Figure:
+def _residuals_over_time(name: str, time: Array, whitened: Array, kept: Mask, weight: Array) -> Figure:
     every = -(-len(time) // _MOST_RESIDUALS)
     time, shown, fits = time[::every], np.clip(whitened[::every], -10, 10), kept[::every]
     series = [
@@ -253,7 +253,7 @@ def _residuals_over_time(
         f"less than half the weight; the mean weight is {weight.mean():.2f}.",
         time,
         series,
-        clock(recording, time, "Residual (σ)", levels=(-3.0, 3.0)),
+        clock(time, "Residual (σ)", levels=(-3.0, 3.0)),
     )
 
 

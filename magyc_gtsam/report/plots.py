@@ -52,8 +52,8 @@ def heading_error(figure: FigureBase, time: Array, error: Array) -> None:
 
 
 def level_turn_error(figure: FigureBase, turn: LevelTurn, calibration: Calibration) -> None:
-    """Plot the heading error of the raw field over a level turn, and the uncertainty after calibration."""
-    sigma = systematic(turn, calibration)
+    """Plot the heading error of the raw field over a level turn, and the uncertainty after one that is trusted."""
+    sigma = systematic(turn, calibration) if calibration.trusted else None
     rows = 1 if sigma is None else 2
     grid = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[3, 2][:rows])[:, 0]
     error = turn.raw_error(calibration.soft_iron, calibration.hard_iron)

@@ -162,8 +162,7 @@ class Server:
         if action == "start":
             source = source_of(asked.get("source"), await run_in_threadpool(self.store.logs))
             arguments = reading(asked)
-            if self.live.state == "running":
-                raise MagycError("a live run is going on; freeze it first")
+            self.live.expect_none()  # before the folder of a result is made
             await self.live.start(self.store.new_result(asked["source"]["kind"], "live"), source, arguments)
         elif action == "freeze":
             await self.live.freeze()

@@ -39,7 +39,7 @@ class Job:
         extra: further values for the page.
         state: "waiting", "running", "done", "failed" or "cancelled".
         stage, share: present stage, and the share of it that is done, 0 to 1.
-        begun, stage_begun, ended: s since 1970; 0 for not yet.
+        stage_begun: s since 1970, of the present stage; 0 for not yet.
         code: exit code; None before the end.
         messages: last lines on standard error that are not progress.
         result: the JSON that the command printed.
@@ -56,9 +56,7 @@ class Job:
     state: str = "waiting"
     stage: str = ""
     share: float = 0.0
-    begun: float = 0.0
     stage_begun: float = 0.0
-    ended: float = 0.0
     code: int | None = None
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=_LINES))
     result: Any = None
@@ -175,7 +173,7 @@ class Jobs:
     async def _run(self, job: Job) -> None:
         async with self._free:
             if not job.cancelled:
-                job.state, job.begun = "running", time.time()
+                job.state = "running"
                 self._changed()
                 try:
                     await asyncio.wait_for(self._process(job), self._limits.job_seconds)
@@ -186,7 +184,6 @@ class Jobs:
                 finally:
                     if job.process is not None:
                         await ended(job.process)
-        job.ended = time.time()
         if job.cancelled:
             job.state = "cancelled"
         else:

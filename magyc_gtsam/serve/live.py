@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import signal
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -74,10 +73,10 @@ class Live:
         Raises:
             MagycError: a run is going on.
         """
-        self._refuse_two()
+        self.expect_none()
         self.folder, self.source, self._arguments = folder, source, tuple(arguments)
         self.latest = None
-        run = {"source": source, "arguments": list(arguments), "begun": time.time()}
+        run = {"source": source, "arguments": list(arguments)}
         write_text(folder / RUN, json.dumps(run))
         await self._begin()
 
@@ -87,7 +86,7 @@ class Live:
         Raises:
             MagycError: there is no frozen run, or a run is going on.
         """
-        self._refuse_two()
+        self.expect_none()
         if self.folder is None or not self.folder.is_dir():
             raise MagycError("there is no live run to resume; start a new one")
         await self._begin()
@@ -103,7 +102,12 @@ class Live:
             end(self._process)
             await self._task
 
-    def _refuse_two(self) -> None:
+    def expect_none(self) -> None:
+        """Check that no run is going on.
+
+        Raises:
+            MagycError: one is.
+        """
         if self.state == "running":
             raise MagycError("a live run is going on; freeze it first")
 

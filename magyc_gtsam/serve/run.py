@@ -9,9 +9,8 @@ from pathlib import Path
 
 from magyc_gtsam.extras import needs
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.live.line_sources import LOOPBACK
 from magyc_gtsam.serve.limits import Limits
-
-LOOPBACK = "127.0.0.1"
 
 
 def serve(folder: Path, port: int, host: str | None, limits: Limits, ready: Callable[[str], None]) -> None:

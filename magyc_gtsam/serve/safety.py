@@ -11,7 +11,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+_OF_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _READING = ("GET", "HEAD")
 _HOST = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\])(?::\d{1,5})?")
 _HEADERS = {
@@ -70,7 +70,7 @@ class Guard:
         if not _HOST.fullmatch(host):
             return "the Host header of this request is not a host name"
         name = host.rpartition(":")[0] if host.rpartition(":")[2].isdecimal() else host
-        if self._token is None and name not in LOOPBACK:
+        if self._token is None and name not in _OF_LOOPBACK:
             return "this server answers to 127.0.0.1 and localhost only"
         if self._token is not None and not by_url and not self._is_token(self._cookie_token(headers)):
             return "the token is missing or wrong: open the address that `magyc-gtsam serve` has shown"

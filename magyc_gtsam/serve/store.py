@@ -126,7 +126,7 @@ class Store:
         """Yield key and path for a log that is being uploaded; remove it if the block fails.
 
         Raises:
-            Full: there are too many uploads, or the log is too large for the disk.
+            StoreFull: there are too many uploads, or the log is too large for the disk.
         """
         if len(self._uploaded()) + len(self._arriving) >= self._limits.uploads:
             raise StoreFull(f"at most {self._limits.uploads} uploaded logs are kept; remove one first")
@@ -147,7 +147,7 @@ class Store:
         """Check that `size` more bytes fit on the disk.
 
         Raises:
-            Full: they would leave less than the spare space.
+            StoreFull: they would leave less than the spare space.
         """
         if shutil.disk_usage(self.folder).free < size + self._limits.spare:
             raise StoreFull("the disk of the server is full; remove logs or results")
