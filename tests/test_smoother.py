@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import MagycError, Recording, calibrate, methods, simulate
-from magyc_gtsam.estimators.smoother.fit import MAX_ITERATIONS, PATIENCE
+from magyc_gtsam.estimators.smoother.fit import MAX_ITERATIONS, PATIENCE, inverse_information
 from magyc_gtsam.estimators.smoother.preparation import magnetometer_noise
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
@@ -539,3 +539,10 @@ def test_the_noise_of_a_stream_that_was_interpolated_is_seen(rows):
     between = np.stack([np.interp(row, np.arange(4000), axis) for axis in value.T], axis=1)
     noise = magnetometer_noise(Recording(0.1 * row, between))
     assert 0.6e-6 / rows < noise < 1.2e-6
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_parameter_without_information_has_an_infinite_variance():
+    """Without a warning, which a hopeless descent on a real log printed."""
+    covariance = inverse_information(np.diag([4.0, 0.0, 1e-12]), np.ones(3, dtype=bool))
+    np.testing.assert_allclose(covariance, np.diag([0.25, np.inf, 1e12]))

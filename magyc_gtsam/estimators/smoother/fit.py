@@ -121,7 +121,8 @@ def inverse_information(information: Array, free: np.ndarray, least: float = 1e-
     scale = 1 / np.sqrt(np.maximum(information.diagonal(), 1e-300))
     value, vector = eigenvectors(information * scale * scale[:, None])
     value = np.maximum(value, least)
-    covariance: Array = (vector / value) @ vector.T * scale * scale[:, None]
+    with np.errstate(over="ignore"):  # no residual depends on a parameter: its variance is infinite
+        covariance: Array = (vector / value) @ vector.T * scale * scale[:, None]
     return covariance
 
 
