@@ -253,6 +253,7 @@ def test_numbers_carry_two_digits_of_their_sigma() -> None:
     assert uncertain(12.3456, 0.0312).replace("\N{NO-BREAK SPACE}", " ") == "12.346 ± 0.031"
     assert uncertain(12.3456, 31.2).replace("\N{NO-BREAK SPACE}", " ") == "12 ± 31"
     assert uncertain(12.3456, np.nan) == "12.3456"
+    assert uncertain(-0.18, 155.0).replace("\N{NO-BREAK SPACE}", " ") == "0 ± 155"
     assert stretch((119.6, 150.2)) == "119–151 s (1:59–2:31)"
 
 

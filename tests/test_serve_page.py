@@ -150,6 +150,19 @@ def test_a_log_that_cannot_be_read_says_why(served: Served, visit: Callable[...,
     page.locator("#remove").click()
 
 
+def test_an_option_that_the_page_has_is_called_by_its_label(served: Served, visit: Callable[..., Any]) -> None:
+    page = visit(served)
+    recording = mg.read(DIVE, end=60.0)
+    table = np.column_stack([recording.time, recording.magnetic_field * 1e6, recording.angular_rate])
+    rows = "\n".join(["time,mag_x,mag_y,mag_z,gyro_x,gyro_y,gyro_z", *(",".join(map(str, row)) for row in table)])
+    page.set_input_files("#files", {"name": "micro.csv", "mimeType": "text/plain", "buffer": rows.encode()})
+    wanted = "or read it in its unit (“Field is in”)"
+    page.locator("#holds", has_text=wanted).wait_for()
+    page.locator("#problem p", has_text=wanted).wait_for()
+    page.locator("#problem button").click()
+    page.locator("#remove").click()
+
+
 def shown(page: Any) -> dict[str, str]:
     """What the page's address says is looked at."""
     return dict(page.evaluate("Object.fromEntries(new URLSearchParams(location.hash.slice(1)))"))

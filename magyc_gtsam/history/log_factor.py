@@ -150,7 +150,7 @@ def factor_of(recording: Recording, time: float | None, options: dict[str, Any])
         time: s since 1970; None takes it from the recording.
         options: options of `calibrate`.
     """
-    when = date_of(recording) if time is None else moment("time", time)
+    when = _middle_of(recording) if time is None else moment("time", time)
     if is_calibrated(recording):
         return LogFactor(recording.name, when, None, None, problem=CALIBRATED)
     try:
@@ -291,7 +291,7 @@ def _of_scale(soft_iron: Array, sigma: float) -> Array:
     return sigma**2 * np.outer(slope, slope)
 
 
-def date_of(recording: Recording) -> float | None:
+def _middle_of(recording: Recording) -> float | None:
     """Return the middle of a recording in s since 1970; None if its clock does not show the date."""
     middle = 0.5 * float(recording.time[0] + recording.time[-1]) + time_zero_of(recording) / 1e9
     return middle if middle > _CALENDAR else None

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
 
 import numpy as np
 
 from magyc_gtsam.history import History
-from magyc_gtsam.history.doubt import last_unused
+from magyc_gtsam.history.doubt import date_of, last_unused
 from magyc_gtsam.history.log_factor import HARD_IRON, LogFactor
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart
@@ -142,7 +141,7 @@ def history_rows(history: History) -> list[list[str | PageLink]]:
 
     def dated_name(index: int) -> str:
         time = history.factors[index].time
-        date = "" if time is None else f" ({datetime.fromtimestamp(time, timezone.utc):%Y-%m-%d})"
+        date = "" if time is None else f" ({date_of(time)})"
         return history.names[index] + date + (", with the soft iron" if index in history.refits else "")
 
     return [

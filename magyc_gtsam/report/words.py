@@ -106,6 +106,7 @@ def uncertain(value: float, sigma: float) -> str:
     if not sigma > 0:
         return f"{value:.4f}"
     decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 7))
+    value = round(float(value), decimals) + 0.0  # never -0
     return f"{value:.{decimals}f} ±\N{NO-BREAK SPACE}{sigma:.{decimals}f}".replace("-", "−")
 
 

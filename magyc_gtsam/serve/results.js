@@ -37,8 +37,12 @@ function exported(key, { name, file, text }) {
 /** What a sentence for a terminal asks for, as it is done here; where it cannot be, that the command line can. */
 function asDoneHere(text) {
   const here = text.replace("run `magyc-gtsam gap`", "press Gap").replace(" (--start, --end)", " (drag over the charts)")
-    .replace("begin a new --state", "begin a new run (Freeze, then New run)");
-  const lacks = [...here.matchAll(/--([a-z][a-z-]*)/g)].some(([, name]) => !$(`#reading [name=${name.replaceAll("-", "_")}], #${name}`));
+    .replace("begin a new --state", "begin a new run (Freeze, then New run)")
+    .replace(/--([a-z][a-z-]*)/g, (option, name) => {
+      const field = $(`#reading [name=${name.replaceAll("-", "_")}]`);
+      return field ? `“${field.labels[0].firstChild.textContent.trim()}”` : option;
+    });
+  const lacks = [...here.matchAll(/--([a-z][a-z-]*)/g)].some(([, name]) => !$(`#${name}`));
   return lacks ? `${here.replace(/\.$/, "")}; not all of these options are on this page, use the command line` : here;
 }
 
