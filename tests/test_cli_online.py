@@ -430,7 +430,7 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
         (("{log}", "--method", ""), "'' is not one of smoother, magyc-ifg"),
         (("{log}", "--output", "{log}/there.yaml"), "expected a folder, this is a file"),
         (("{log}", "--state", "{log}/there.state"), "expected a folder, this is a file"),
-        ((".",), "is a directory; name the MCAP file in it that is being written, or calibrate a complete bag"),
+        ((".",), "expected a file, got a directory; name a log in it"),
     ],
 )
 def test_what_is_wrong_is_one_line_and_code_2(

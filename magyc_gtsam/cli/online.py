@@ -26,7 +26,8 @@ def run(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="MCAP file, which may still be written; - for JSON lines on standard input: "
+            help="MCAP file, which may still be written; the folder of a ROS 2 bag, a .bag, .db3, text table or phone "
+            "archive, which is complete; - for JSON lines on standard input: "
             '{"time": s, "magnetic_field": [x, y, z], "angular_rate": [x, y, z]}; or udp://[HOST]:PORT, '
             "serial://PORT?baud=N, mavlink://udpin:HOST:PORT (or tcp:…, or a port), ros2://.",
             show_default=False,
@@ -69,6 +70,7 @@ def run(
     magnetic_unit: given.MagneticUnit = None,
     angular_unit: given.AngularUnit = None,
     stamps: given.Stamps = "header",
+    read: given.Read = None,
     angular_rate_is: given.AngularRateIs = None,
     gyroscope_axes: given.GyroscopeAxes = None,
     misalignment: given.Misalignment = None,
@@ -119,6 +121,7 @@ def run(
         sensors={"magnetic_field": magnetic_field, "angular_rate": angular_rate},
         units={"magnetic_field": parse_unit(magnetic_unit), "angular_rate": parse_unit(angular_unit)},
         stamps=stamps,
+        options=parse_pairs("--read", read),
     )
     place = scale.place() if method in (None, _METHOD) else None
     options: dict[str, Any] = {"field_strength": scale.tesla()} if place is None else {"field": list(place)}

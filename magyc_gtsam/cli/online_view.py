@@ -70,6 +70,10 @@ class QuietView:
         """
         if self._notes > _NOTES:
             self.complain(f"{self._notes - _NOTES} more notes like these")
+        unfinished = getattr(self.source, "unfinished", "")
+        if session.end is EndReason.IDLE and unfinished:
+            used = "" if self.source.waiting_for else "; what was read before is used"
+            self.complain(f"{self.source.name}: {unfinished}{used}")
         code = self._conclude(session)
         feed = self.feed
         if feed.unused:

@@ -51,6 +51,7 @@ SUFFIXES = {  # of the logs that folders are searched for
     ".bbl": "blackbox",
     ".bfl": "blackbox",
 }
+_ROS = {"mcap_log", "ros_bag", "ros2_bag"}
 _JSON = re.compile(rb"\s*(?:\{|\[\s*[\[{])")
 _DATAFLASH_TEXT = re.compile(rb"\s*FMT\s*,\s*\d+\s*,\s*\d+\s*,\s*\w+\s*,")
 _OWN_RESULT = re.compile(rb"format: magyc-gtsam |magyc_gtsam: [\d.]+\n")  # of calibrations, and configuration.yaml
@@ -185,8 +186,17 @@ def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:
     Raises:
         MagycError: a file does not exist or is not a log.
     """
-    first, second = (_reader(Path(each)).__name__.rpartition(".")[2] for each in (one, other))
-    return first == second or {first, second} <= {"mcap_log", "ros_bag", "ros2_bag"}
+    first, second = format_of(one), format_of(other)
+    return first == second or {first, second} <= _ROS
+
+
+def format_of(path: str | PathLike[str]) -> str:
+    """Return the format of a log, as the name of the module that reads it.
+
+    Raises:
+        MagycError: the file does not exist or is not a log.
+    """
+    return _reader(Path(path)).__name__.rpartition(".")[2]
 
 
 def _reader(path: Path) -> ModuleType:
@@ -197,6 +207,11 @@ def _reader(path: Path) -> ModuleType:
             return bag
         inside = [*sorted(path.glob("*.mcap")), *sorted(path.glob("*.db3"))]
         hint = f"; read its {inside[0].name}" if inside else "; name a log in it"
+        if parts := bag.files_without_metadata(path):
+            hint = (
+                f"; its {len(parts)} files {parts[0].name} to {parts[-1].name} are named like those of a ROS 2 bag "
+                "without metadata.yaml: `ros2 bag reindex` writes it, and they are one log then"
+            )
         raise MagycError(f"{path}: expected a file, got a directory{hint}")
     try:
         if path.exists() and not path.is_file():  # readers seek, and read some parts twice

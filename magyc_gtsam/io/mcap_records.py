@@ -114,11 +114,16 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
             notes.append(f"a {what} is damaged and was left out ({reasons[0]})")
         elif reasons:
             notes.append(f"{len(reasons)} {what}s are damaged and were left out (the first: {reasons[0]})")
-    if damaged:
-        notes.append(f"the file is damaged at byte {place} (a record declares a length of {length} bytes)")
-    elif not whole:
-        notes.append(f"the file is cut off after {size} bytes (no footer)")
+    if not whole:
+        notes.append(unfinished(place, size, length if damaged else 0))
     report(1.0)
+
+
+def unfinished(place: int, size: int, length: int) -> str:
+    """Return why a file of `size` bytes has no footer, if its record at byte `place` declares a length."""
+    if length > _IMPOSSIBLE_LENGTH:
+        return f"the file is damaged at byte {place} (a record declares a length of {length} bytes)"
+    return f"the file is cut off after {size} bytes (no footer)"
 
 
 class _UnchunkedMessages:

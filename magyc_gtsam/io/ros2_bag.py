@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from magyc_gtsam.storage.mapping import load_mapping
 _DESCRIPTION = "metadata.yaml"
 _KEY = "rosbag2_bagfile_information"
 _SUFFIXES = (".mcap", ".db3", ".zstd")
+_NUMBERED = re.compile(r"(?P<name>.+)_(?P<number>\d{1,6})(?P<suffix>\.mcap|\.db3)")
 _MOST_CHANNELS = 1 << 16  # of all files, as in a `Block`
 
 
@@ -33,6 +35,19 @@ def is_bag(folder: Path) -> bool:
             return _KEY.encode() in file.read(512)
     except OSError:
         return False
+
+
+def files_without_metadata(folder: Path) -> list[Path]:
+    """Return the files NAME_0, NAME_1, … of a bag in a folder without its metadata.yaml; [] where there are none."""
+    if is_bag(folder):
+        return []
+    numbered = {file: _NUMBERED.fullmatch(file.name) for file in folder.iterdir()}
+    bags: dict[tuple[str, str], dict[int, Path]] = {}
+    for file, match in numbered.items():
+        if match:
+            bags.setdefault((match["name"], match["suffix"]), {})[int(match["number"])] = file
+    found = max((bag for bag in bags.values() if {0, 1} <= bag.keys()), key=len, default={})
+    return [found[number] for number in sorted(found)]
 
 
 def read(path: Path, request: Request) -> Recording:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from urllib.parse import parse_qs
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.mcap_records import MAGIC
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.line_sources import BAUD, JsonLines, SerialLines, UdpLines
 from magyc_gtsam.live.source import LiveSource
 
-FORMS = "a growing MCAP file, - (JSON lines), udp://[HOST]:PORT, serial://PORT?baud=N, mavlink://udpin:HOST:PORT, ros2://"
+FORMS = (
+    "an MCAP file that may grow, another log, - (JSON lines), udp://[HOST]:PORT, serial://PORT?baud=N, "
+    "mavlink://udpin:HOST:PORT, ros2://"
+)
+_REPLAYED = {"ros_bag", "ros2_bag", "csv_log", "phone_archive"}  # formats of complete logs without an autopilot
 
 
 def is_file(text: str) -> bool:
@@ -23,23 +29,17 @@ def open_source(text: str, request: Request) -> LiveSource:
 
     Args:
         text: a file, "-" for standard input, or an address in one of the `FORMS`.
-        request: topics, units and stamps.
+        request: topics, units, stamps, and options of complete logs.
 
     Raises:
         MagycError: the address is not valid, or the source cannot be opened.
     """
+    if is_file(text):
+        return _of_file(Path(text), request)
+    if request.options:
+        raise MagycError(f"--read: has no effect on {text}; it is for complete logs, such as text tables")
     if text == "-":
         return JsonLines(0, request)
-    if is_file(text):
-        from magyc_gtsam.live.mcap_follow import McapFollower
-
-        path = Path(text)
-        if path.is_dir():
-            raise MagycError(
-                f"{path}: is a directory; name the MCAP file in it that is being written, or calibrate a complete bag "
-                "(`mg.calibrate`)"
-            )
-        return McapFollower(path, request)
     kind, _, location = text.partition("://")
     where, _, query = location.partition("?")
     options = {name: values[-1] for name, values in parse_qs(query, keep_blank_values=True).items()}
@@ -59,6 +59,38 @@ def open_source(text: str, request: Request) -> LiveSource:
     from magyc_gtsam.live.ros2 import Ros2Topics
 
     return Ros2Topics(request)
+
+
+def _of_file(path: Path, request: Request) -> LiveSource:
+    """Open a file, or the folder of a bag: MCAP, which may grow, is followed, and any other format is complete."""
+    from magyc_gtsam.io import format_of
+    from magyc_gtsam.io.ros2_bag import files_without_metadata
+    from magyc_gtsam.live.logged import CompleteLog
+    from magyc_gtsam.live.mcap_follow import McapFollower
+
+    if path.is_file() and _may_grow(path):
+        request.only("MCAP")
+        follower = McapFollower(path, request)
+        if path in (parts := files_without_metadata(path.parent)) and path != parts[-1]:
+            follower.notes.append(
+                f"{path.name} is followed alone; with {parts[-1].name} it is named like the files of a ROS 2 bag "
+                "without metadata.yaml: `ros2 bag reindex` writes it, and its folder is one log then"
+            )
+        return follower
+    kind = format_of(path)
+    if kind not in _REPLAYED:
+        raise MagycError(
+            f"{path}: the log of an autopilot, whose parameters need the whole of it; use magyc-gtsam calibrate"
+        )
+    return CompleteLog(path, request)
+
+
+def _may_grow(path: Path) -> bool:
+    """Return whether a file is MCAP, or has no content yet."""
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        head = file.read(len(MAGIC))
+        return MAGIC.startswith(head)
+    return True
 
 
 def _number(text: str, part: str, largest: int) -> int:

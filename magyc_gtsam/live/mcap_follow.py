@@ -19,7 +19,7 @@ from mcap.records import Metadata
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed, shortened
 from magyc_gtsam.io.mcap_compression import Damage
-from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Record, block_of, broken_up, parsed, unpacked
+from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Record, block_of, broken_up, parsed, unfinished, unpacked
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, SensorSource, choose, needed, unknown
@@ -60,6 +60,7 @@ class McapFollower:
         except OSError as error:
             raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
         self._place = 0  # byte at which the complete records end
+        self._declared = 0  # bytes of the record there, which is incomplete
         # Only the topics of the two sensors are needed, not those of channels.
         self._topics = Topics(needed(replace(request, channels=()), SENSORS), request, self.notes, announced=True)
         self._chosen: dict[str, SensorSource] = {}
@@ -79,6 +80,11 @@ class McapFollower:
         )
         present = listed([f"{t.name} ({t.schema.name})" for t in self._topics.values()])
         return f"no topic of {wanted} yet; the file has {present or 'no topic'} so far"
+
+    @property
+    def unfinished(self) -> str:
+        """Why the file has no end, if nothing more is written to it; "" if it has one, or no content."""
+        return "" if self.ended or not self.received else unfinished(self._place, self.received, self._declared)
 
     def read(self, wait: float = 0.0) -> NewSamples:
         """Return the new samples; see `LiveSource.read`."""
@@ -114,6 +120,7 @@ class McapFollower:
             if len(head) < HEAD.size:
                 return
             opcode, length = HEAD.unpack(head)
+            self._declared = length
             if opcode == 0 or self._place + HEAD.size + length > size:
                 return  # reserved space, or a record that is still being written
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):

@@ -26,6 +26,11 @@ def time_zero_of(recording: Recording) -> int:
     return int(match[1].replace(".", "")) if match else 0
 
 
+def is_time_zero(note: str) -> bool:
+    """Return whether a note of a recording is that of `time_zero_note`."""
+    return _NOTE.fullmatch(note) is not None
+
+
 def seconds_of(stamp: int) -> str:
     """Return a stamp in ns as text in s, exactly."""
     return f"{'-' * (stamp < 0)}{abs(stamp) // _SECOND}.{abs(stamp) % _SECOND:09d}"
