@@ -30,6 +30,7 @@ def test_a_calibration_in_a_notebook(calibration: mg.Calibration, recording: mg.
     figure = calibration.plot()
     figure.savefig(tmp_path / "figure.png")
     assert len(figure.axes) >= 5
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["raw", "calibrated"]
     page = calibration.report(tmp_path / "page.html")
     assert "systematic heading error at most" in page.read_text(encoding="utf-8").lower()
     assert calibration.report(tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
@@ -54,7 +55,9 @@ def test_a_gap_in_a_notebook(tmp_path: Path) -> None:
     assert gap.verdict in repr(gap)
     assert gap.names == ("timing",)
     assert "magnetometer delay" in gap._repr_html_()
-    gap.plot().savefig(tmp_path / "gap.png")
+    figure = gap.plot()
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["before", "after"]
+    figure.savefig(tmp_path / "gap.png")
     assert (tmp_path / "gap.png").stat().st_size > 10_000
 
 

@@ -54,6 +54,7 @@ def plot_calibration(calibration: Calibration, recording: Recording | None = Non
         plots.heading_error(right, history.time, history.heading_error)
     else:
         plots.level_turn_error(right, turn_of(recording, calibration), calibration)
+    plots.legend(figure, "raw", "calibrated")
     figure.suptitle(judged(calibration, recording).sentence, fontsize=10)
     return figure
 
@@ -72,6 +73,7 @@ def plot_gap(gap: Gap) -> Figure:
     parts = np.ravel(lower.subfigures(1, len(shown))) if shown else ()
     for part, each in zip(parts, shown, strict=True):
         plots.gap_map(part, each, each if gap.after is gap.before else later.get(each.over, each))
+    plots.legend(figure, "before", "after")
     figure.suptitle(judged_gap(gap).title, fontsize=10)
     return figure
 

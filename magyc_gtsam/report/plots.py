@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import FigureBase
+from matplotlib.figure import Figure, FigureBase
+from matplotlib.lines import Line2D
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.gap.outcome.agreement import GapMap, OpenLoop
@@ -20,6 +21,12 @@ CALIBRATED = "#2b8cdb"
 INK = "#808a94"  # readable on light and dark backgrounds
 _MICRO = 1e6
 _FLAT = 0.1  # share of the common scale below which the calibrated curve gets its own panel
+
+
+def legend(figure: Figure, before: str, after: str) -> None:
+    """Say below all panels which colour is which."""
+    lines = [Line2D([], [], color=colour, label=label) for colour, label in ((RAW, before), (CALIBRATED, after))]
+    figure.legend(handles=lines, loc="outside lower center", ncols=2, frameon=False)
 
 
 def field_projection(
