@@ -103,6 +103,14 @@ def test_named_columns(tmp_path: Path) -> None:
         read(path, time="clock", magnetic_field="a1,a2")
 
 
+def test_an_attitude_without_a_prefix_has_a_name(tmp_path: Path) -> None:
+    names = "t,mag_x,mag_y,mag_z,quaternion_x,quaternion_y,quaternion_z,quaternion_w"
+    path = write(tmp_path / "a.csv", names, TIME, FIELD, np.tile([0.0, 0.0, 0.0, 1.0], (len(TIME), 1)))
+    (named,) = [source.name for source in info(path).sources if "attitude" in source.serves_as]
+    assert named == "quaternion_x, quaternion_y, quaternion_z, quaternion_w"
+    np.testing.assert_array_equal(read(path, attitude=named).attitude, read(path).attitude)
+
+
 def test_two_magnetometers(tmp_path: Path) -> None:
     numbered = "t,mag1_x_uT,mag1_y_uT,mag1_z_uT,mag2_x_uT,mag2_y_uT,mag2_z_uT"
     path = write(tmp_path / "a.csv", numbered, TIME, 1e6 * FIELD, 2e6 * FIELD)

@@ -47,7 +47,7 @@ class Column:
 
 @dataclass(frozen=True)
 class SensorColumns:
-    """The columns of a sensor in the order x, y, z (attitude: x, y, z, w), and the label of the set."""
+    """The columns of a sensor in the order x, y, z (attitude: x, y, z, w), and a label that selects them."""
 
     label: str
     columns: tuple[Column, ...]
@@ -182,7 +182,8 @@ def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> d
                     "name; rename the columns (columns=)"
                 )
             group[match[2]] = column
-    return {k: SensorColumns(k, tuple(v[a] for a in axes)) for k, v in groups.items() if len(v) == len(axes)}
+    whole = {k: tuple(v[a] for a in axes) for k, v in groups.items() if len(v) == len(axes)}
+    return {k: SensorColumns(k or _listed(found), found) for k, found in whole.items()}
 
 
 def _named(columns: Sequence[Column], name: str) -> Column:
