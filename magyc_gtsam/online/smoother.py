@@ -25,6 +25,7 @@ from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.change_point import LARGE, SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
@@ -181,7 +182,7 @@ class OnlineSmoother:
     def _of_samples_so_far(self) -> Calibration | None:
         online, belief = self._online, self._online.belief
         if belief.head is None:
-            return belief.report
+            return self._undetermined()
         ending = online.recording(None, belief.tail)
         if belief.past is None and belief.front is None and len(online.numbers()) <= _MOST_REFITTED:
             recording, fit = ending, refit_from_windows(online, self._integrated)
@@ -202,6 +203,22 @@ class OnlineSmoother:
         change = self._recent_change(fit)
         calibration = report_of(online, ending, fit, belief.tail, online.last, change, belief.contradictions)
         return with_drift(calibration, belief.drift)
+
+    def _undetermined(self) -> Calibration | None:
+        """Return the calibration of all samples so far where the last refit found too little motion to go on from.
+
+        The next refit may be due long after the motion has become enough.
+        """
+        online, belief = self._online, self._online.belief
+        if belief.report is None or belief.past is not None or len(online.numbers()) > _MOST_REFITTED:
+            return belief.report
+        recording = online.recording(None)
+        try:
+            fit, _ = fit_samples(online, recording, True)
+            doubts = prior_contradictions(recording, online.fit_options, fit)
+        except MagycError:  # the sensors' axes disagree, which the next refit tells
+            return belief.report
+        return with_drift(report_of(online, recording, fit, doubts=doubts), belief.drift)
 
     def _recent_change(self, fit: Fit) -> Component | None:
         """Return the error by a recent change of the iron; None if it is not looked for, or walks at random."""
