@@ -179,6 +179,7 @@ def test_in_a_browser_with_a_reload_in_the_middle(
     duration = lines[-1]["time"] - lines[0]["time"]
     until(server, has(duration))
     page.locator("#freeze").click()
+    page.locator("#live-verdict.good p", has_text="Continue to add them.").wait_for()
     page.locator("#live-result").click()
     page.locator("#result header.good").wait_for()
     page.locator(".export", has_text="PX4").locator("button").click()

@@ -93,7 +93,7 @@ function drawRun(run, going) {
   const [title, text, origin] = head.children;
   title.textContent = trusted ? "It may be trusted" : waits ? "Waiting for samples" : "Not yet";
   const weak = now && now.sentence !== "converged" ? now.sentence : "";
-  const said = waits ? (now && now.source.waiting_for) || run.messages[0] || "" : (now && now.problem) || (trusted ? "More directions make it better still. Freeze when you have enough." : weak);
+  const said = waits ? (now && now.source.waiting_for) || run.messages[0] || "" : (now && now.problem) || (trusted ? `More directions make it better still. ${going ? "Freeze when you have enough." : "Continue to add them."}` : weak);
   text.textContent = asDoneHere(said);
   const time = now ? `${now.duration < 120 ? `${now.duration.toFixed(0)} s` : `${(now.duration / 60).toFixed(1)} min`} · ` : "";
   origin.textContent = `${going ? "" : "Frozen · "}${time}${now ? `${now.source.name} · ${now.source.sentence}` : run.source}${now && now.left_out ? ` · ${now.left_out} left out` : ""}`;
