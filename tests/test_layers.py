@@ -78,7 +78,7 @@ def test_a_fault_of_a_sensor_has_one_detector() -> None:
         "Spikes": "single samples that stand out of all motion",
         "CutOff": "turns beyond the gyroscope's full scale",
         "FullScale": "a field beyond the magnetometer's full scale",
-        "StuckBits": "a bit of the magnetometer that always reads the same",
+        "StuckBits": "a bit of the magnetometer that always reads the same, or fails",
     }
     parts = {"LargestValue"}  # of `CutOff`, one for each side of each axis
     called: dict[str, set[str]] = {}

@@ -1,4 +1,4 @@
-"""A bit of the magnetometer's converter that always reads the same."""
+"""A bit of the magnetometer's converter that always reads the same, or is wrong in some of the readings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import pytest
 import magyc_gtsam as mg
 from magyc_gtsam.recording import Array
 from magyc_gtsam.sensor_faults.stuck_bit import StuckBits, stuck_bit
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.signals import record
 
 STEP = 0.15e-6  # T
 
@@ -22,6 +24,13 @@ def with_stuck_bit(recording: mg.Recording, worth: int, high: bool = True, axis:
     """The recording in steps, with a bit of an axis stuck that is worth so many."""
     read = codes(recording.magnetic_field)
     read[:, axis] = read[:, axis] | worth if high else read[:, axis] & ~worth
+    return replace(recording, magnetic_field=read * STEP)
+
+
+def with_failing_bit(recording: mg.Recording, worth: int, share: float = 0.15, axis: int = 1) -> mg.Recording:
+    """The recording in steps, with a bit of an axis inverted in a share of the readings."""
+    read = codes(recording.magnetic_field)
+    read[:, axis] ^= worth * (np.random.default_rng(worth).random(len(read)) < share)
     return replace(recording, magnetic_field=read * STEP)
 
 
@@ -94,3 +103,48 @@ def test_online_does_not_converge_and_a_saved_state_goes_on(recording: mg.Record
         found = each.finding()
         assert found is not None
         assert found.axis == "y"
+
+
+@pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
+@pytest.mark.parametrize("worth", [64, 128])
+def test_a_bit_that_fails_at_times_is_found_on_every_motion(motion: str, worth: int) -> None:
+    sound = mg.simulate(motion, 600, seed=worth).recording
+    for share in (0.05, 0.15):
+        found = stuck_bit(with_failing_bit(sound, worth, share).magnetic_field)
+        assert found is not None
+        assert (found.axis, found.always) == (1, False)
+        assert found.worth == pytest.approx(worth * STEP)
+
+
+@pytest.mark.parametrize(
+    "name", ["two-sided-spikes", "one-sided-spikes", "one-axis-spikes", "noise-bursts", "sign-flips"]
+)
+def test_other_readings_that_stand_out_are_no_failing_bit(name: str) -> None:
+    fault = FAULTS[name]
+    for motion in ("wide", "moderate", "low", "tiny"):
+        for strength in (fault.weak, fault.strong):
+            field = record(motion, 5, fault, strength, name).field
+            assert stuck_bit(codes(field) * STEP) is None
+
+
+def test_noise_that_is_not_white_is_no_failing_bit_in_a_long_log() -> None:
+    """The neighbours that tell the stretch move with those that a reading is compared with."""
+    random = np.random.default_rng(3)
+    drift = np.cumsum(random.normal(0, 0.3, (40000, 3)), axis=0)
+    noise = random.normal(0, 4, (40000, 3)) + (drift - np.roll(drift, 20, axis=0))
+    assert stuck_bit(np.rint(noise + 40 * np.sin(np.arange(40000) / 900)[:, None]) * STEP) is None
+
+
+def test_online_and_batch_refuse_a_bit_that_fails_from_some_time_on() -> None:
+    """Both trusted it, with the hard iron off by 3 µT."""
+    sound = mg.simulate("tiny", 700, seed=2).recording
+    before, after = codes(sound.magnetic_field[:4000]) * STEP, with_failing_bit(sound, 64).magnetic_field[4000:]
+    bad = replace(sound, magnetic_field=np.vstack([before, after]))
+    message = "magnetic_field: the bit worth 9.6 µT of axis y of the magnetometer is wrong in some of the readings"
+    assert mg.calibrate(bad).message.startswith(message)
+    online = mg.OnlineCalibrator()
+    online.update(bad.time, bad.magnetic_field, bad.angular_rate)  # type: ignore[arg-type]
+    assert not online.converged
+    assert online.calibration is not None
+    assert not online.calibration.trusted
+    assert online.progress.sentence.startswith(message)

@@ -3,7 +3,8 @@
 The readings of an axis are whole numbers of its step. If the bit worth B is stuck, they lie in stretches of B that
 follow each other at 2 B, with nothing between. A motion with noise fills a range of readings without holes, whatever
 the offset and the scale that a driver applies. Such readings are off by B for half of the field's values: by 0.6 µT the
-hard iron was off by 6 to 30 sigmas. No calibration from them is trusted.
+hard iron was off by 6 to 30 sigmas. A bit that is wrong in some of the readings only is found in `failing_bit`. No
+calibration from either is trusted.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.recording import Array
+from magyc_gtsam.sensor_faults.failing_bit import failing_bit
 
 
 @dataclass(frozen=True)
@@ -46,37 +48,46 @@ RULES = BitRules()
 
 @dataclass(frozen=True)
 class StuckBit:
-    """A bit that is stuck.
+    """A bit that is stuck, or wrong in some of the readings.
 
     Attributes:
         axis: of "xyz".
         shown: what the bit is worth, as text with its unit (µT or counts).
+        always: whether it is stuck.
     """
 
     axis: str
     shown: str
+    always: bool = True
     too_often = True  # however few the samples are
+
+    @property
+    def state(self) -> str:
+        """What is wrong with it, as text."""
+        return "is stuck" if self.always else "is wrong in some of the readings"
 
     @property
     def where(self) -> str:
         """The axis and the bit, as text."""
-        return f"magnetic_field: the bit worth {self.shown} of axis {self.axis} of the magnetometer is stuck"
+        return f"magnetic_field: the bit worth {self.shown} of axis {self.axis} of the magnetometer {self.state}"
 
     @property
     def sentence(self) -> str:
         """The message: `where`, the reason and the remedy."""
-        return f"{self.where}, so that half of its values are never read: check the driver, or replace the sensor"
+        harm = "half of its values are never read" if self.always else "their mean is off by an unknown amount"
+        return f"{self.where}, so that {harm}: check the driver, or replace the sensor"
 
 
 class Bit(NamedTuple):
-    """The place of a stuck bit: the axis, 0 to 2, and what the bit is worth, T or counts."""
+    """The place of a bit: the axis, 0 to 2, what the bit is worth, T or counts, and whether it is always stuck."""
 
     axis: int
     worth: float
+    always: bool
 
 
 class StuckBits:
-    """Look for stuck bits in a magnetometer's samples as they arrive.
+    """Look for bits that are stuck or fail in a magnetometer's samples as they arrive.
 
     After every `every` samples the last `latest` are examined. What was found remains, because a range of readings
     that does not show it does not exclude it.
@@ -85,7 +96,7 @@ class StuckBits:
         every, latest: numbers of samples; a batch passes the number of all its samples.
     """
 
-    def __init__(self, every: int = 300, latest: int = 3000) -> None:
+    def __init__(self, every: int = 300, latest: int = 6000) -> None:
         self._every, self._latest = every, latest
         self._rows, self._new = np.empty((0, 3)), np.empty((0, 3))
         self._found: Bit | None = None
@@ -109,27 +120,33 @@ class StuckBits:
         """Return the bit that was found, or None; `shown` scales a field to `unit`."""
         if self._found is None:
             return None
-        return StuckBit("xyz"[self._found.axis], f"{self._found.worth * shown:.3g} {unit}")
+        return StuckBit("xyz"[self._found.axis], f"{self._found.worth * shown:.3g} {unit}", self._found.always)
 
     def state(self) -> Mapping[str, Array]:
         """Return the state for `restore`."""
-        found = np.full(2, np.nan) if self._found is None else np.array(self._found)
+        found = np.full(3, np.nan) if self._found is None else np.array(self._found)
         return {"rows": self._rows, "new": self._new, "found": found}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Continue from `state`."""
         self._rows, self._new = state["rows"], state["new"]
-        axis, worth = (float(v) for v in state["found"])
-        self._found = None if np.isnan(axis) else Bit(int(axis), worth)
+        axis, worth, always = (float(v) for v in state["found"])
+        self._found = None if np.isnan(axis) else Bit(int(axis), worth, bool(always))
 
 
 def stuck_bit(value: Array, rules: BitRules = RULES) -> Bit | None:
-    """Return the first stuck bit of samples (n, 3) T or counts; None if there is none, or if it cannot be told."""
+    """Return the first bit of samples (n, 3) T or counts that is stuck or fails; None if none is, or none told."""
     if len(value) < 2:
         return None
     for axis, step in enumerate(_steps(np.ascontiguousarray(value[: rules.first].T), rules)):
-        if step and (worth := _bit(value[:, axis], step, rules)):
-            return Bit(axis, worth * step)
+        if not step:
+            continue
+        steps = np.rint((value[:, axis] - value[:, axis].min()) / step)
+        if steps.max() > rules.steps:
+            continue
+        always = _bit(steps.astype(np.int64), rules)
+        if worth := always or failing_bit(steps):
+            return Bit(axis, worth * step, bool(always))
     return None
 
 
@@ -147,12 +164,9 @@ def _steps(reading: Array, rules: BitRules) -> list[float]:
     return found
 
 
-def _bit(reading: Array, step: float, rules: BitRules) -> int:
-    """Return how many steps the bit is worth that is stuck in readings (n,); 0 if there is none."""
-    steps = (reading - reading.min()) / step
-    if steps.max() > rules.steps:
-        return 0
-    count = np.bincount(np.rint(steps).astype(np.int64))
+def _bit(steps: np.ndarray, rules: BitRules) -> int:
+    """Return how many steps the bit is worth that is stuck in readings (n,), whole steps; 0 if there is none."""
+    count = np.bincount(steps)
     below = np.cumsum(count)
     first, last = np.searchsorted(below, [rules.rare * below[-1], (1 - rules.rare) * below[-1]])
     count = count[first : last + 1]

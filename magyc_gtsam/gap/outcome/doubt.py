@@ -74,11 +74,11 @@ def doubt_of_clipped(clipped: ClippedField, why: str) -> Doubt:
 
 
 def with_stuck_bit(gap: Gap, bit: StuckBit | None) -> Gap:
-    """Return the gap, open if a bit of the magnetometer is stuck, of which the catalogue has no effect."""
+    """Return the gap, open if a bit of the magnetometer is stuck or fails, of which the catalogue has no effect."""
     if bit is None:
         return gap
     doubt = Doubt(
-        f"a bit of axis {bit.axis} of the magnetometer is stuck", "replace the sensor, or mend its driver"
+        f"a bit of axis {bit.axis} of the magnetometer {bit.state}", "replace the sensor, or mend its driver"
     )
     verdict = gap.verdict if gap.verdict == "not enough information" else "open"
     sentence = f"{bit.sentence}; {gap.sentence}"
