@@ -15,7 +15,7 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import DRIFT, Batch, Candidates
+from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Batch, Candidates
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
 from magyc_gtsam.gap.evidence.neighbours import neighbours, product_of
@@ -179,6 +179,17 @@ def test_a_varying_field_is_part_of_an_unknown_cause_if_it_moves_with_the_sensor
     share = 1 - PRIOR.unforeseen
     uncertain = share * 2 / (3 + np.exp(PRIOR.each_more))
     assert stated[FIELD_VARIATION] == pytest.approx(share if sensor < -PRIOR.world_ahead else uncertain, rel=1e-6)
+
+
+@pytest.mark.parametrize("seen", [None, 500.0])
+def test_correlated_noise_may_be_a_part_of_what_is_unknown(seen: float | None) -> None:
+    """As probably as not; of a log in which nothing is unknown it is not."""
+    names = tuple(sorted((COLOUR, FIELD_VARIATION)))
+    stated = marginals(
+        normalised(summed([SetWeight(names, 0.0, seen, {COLOUR: 0.0, FIELD_VARIATION: 100.0})], -40.0))
+    )
+    share = (1 - PRIOR.unforeseen) * (1 - PRIOR.unforeseen_in_room)
+    assert stated[COLOUR] == pytest.approx(share if seen is None else 0.5 * share, rel=0.02)
 
 
 def test_what_one_name_explains_but_for_its_form_is_that_effect() -> None:

@@ -93,7 +93,8 @@ def _deviation(node: Node, powers: Mapping[str, float], family: Weighed) -> floa
     explain, and each of the varying field, which has no form.
     """
     of_names = powers.get(product_of(family.name) or "", family.contained)
-    return PRIOR.form_of_field * node.of_field + PRIOR.form * of_names
+    form = PRIOR.form_of_colour if family.name == COLOUR else PRIOR.form
+    return PRIOR.form_of_field * node.of_field + form * of_names
 
 
 def _families(tree: Tree, node: Node, powers: Mapping[str, float]) -> tuple[float, tuple[float, float]]:
@@ -186,8 +187,9 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
     cause only one. Usually a part of it is also detected as an unknown effect, larger than a deviation from the form of
     all names, and what the largest effect does not explain of it has a power comparable to that effect's. If that is
     less than the least share that the rest of one imitated effect may have, it is that effect. A detected cause may
-    replace the field variation, too, by one that moves with the sensor (`sensor_variation`), at the
-    odds by which that one explains less, beyond `world_ahead`. None replaces effects on single samples.
+    replace the field variation, too, by one that moves with the sensor (`sensor_variation`), at the odds by which that
+    one explains less, beyond `world_ahead`. Correlated noise beside it is a part of it as probably as not. None
+    replaces effects on single samples.
     """
     logs: dict[Set, list[float]] = {}
     for one in each:
@@ -211,7 +213,12 @@ def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
                 odds += min(sensor + PRIOR.world_ahead, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
                 logs.setdefault((others, True), []).append(one.log + odds)
-    return {key: float(np.logaddexp.reduce(values)) for key, values in logs.items()}
+    result = {key: float(np.logaddexp.reduce(values)) for key, values in logs.items()}
+    for (names, unknown), log in list(result.items()):
+        if unknown and COLOUR in names:
+            less = tuple(name for name in names if name != COLOUR), True
+            result[less] = float(np.logaddexp(result.get(less, -np.inf), log))
+    return result
 
 
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
