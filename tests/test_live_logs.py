@@ -122,3 +122,19 @@ def test_a_file_cut_off_before_its_first_message_has_the_exit_code_of_calibrate(
     errors = capsys.readouterr().err
     assert "cut.mcap: the file is cut off after 20000 bytes (no footer)\n" in errors
     assert "no topic of magnetic_field" in errors
+
+
+@pytest.mark.parametrize("source", ["applied.mcap", "applied.csv"])
+def test_a_log_that_apply_wrote_gives_no_parameters(
+    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", str(DIVE), "-o", "batch", "-q"]) == 0
+    assert main(["apply", "batch/calibration.yaml", str(DIVE), "-o", source, "-q"]) == 0
+    capsys.readouterr()
+    assert main(["online", source, "-q"]) == 0
+    assert "the field is calibrated already: `magyc-gtsam apply` wrote it" in capsys.readouterr().err
+    calibration = mg.Calibration.load("online-calibration.yaml")
+    assert calibration.trusted
+    with pytest.raises(MagycError, match="holds only the rest"):
+        calibration.export("px4")

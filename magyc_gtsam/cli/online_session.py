@@ -161,6 +161,8 @@ class Session:
             if change.before is not None:
                 file = self.output.with_name(f"{self.output.stem}-before-change-{number}{self.output.suffix}")
                 results[file] = change.before
+        if getattr(self.source, "calibrated", False):  # they give no parameters
+            results = {file: _of_the_rest(result) for file, result in results.items()}
         saves = [(file, result.save) for file, result in results.items()]
         if self.state is not None:
             saves.append((self.state, online.save))
@@ -179,3 +181,8 @@ def judged_online(online: OnlineCalibrator) -> Calibration | None:
     if calibration is None or online.converged or not calibration.trusted:
         return calibration
     return replace(calibration, converged=False, message=online.progress.sentence)
+
+
+def _of_the_rest(calibration: Calibration) -> Calibration:
+    """Return the calibration with the mark that its field was calibrated before."""
+    return replace(calibration, configuration={**calibration.configuration, "calibrated_before": True})

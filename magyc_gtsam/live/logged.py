@@ -11,6 +11,7 @@ from magyc_gtsam.io import read
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.source import NewSamples, nothing
 from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.recording.applied import is_calibrated
 from magyc_gtsam.recording.time_zero import is_time_zero, time_zero_of
 from magyc_gtsam.storage.files import size_of
 
@@ -22,6 +23,9 @@ class CompleteLog:
     """The magnetometer and gyroscope samples of a complete log; a `LiveSource`.
 
     Stamps are seconds on the clock of the log, not counted from its first row.
+
+    Attributes:
+        calibrated: whether the field is that of `magyc-gtsam apply`.
 
     Args:
         path: a log that `magyc_gtsam.io.read` reads, such as the folder of a ROS 2 bag.
@@ -47,7 +51,7 @@ class CompleteLog:
         )
         if recording.magnetic_field_unit != "T":
             raise MagycError(f"{path}: the unit of the field is unknown; give --magnetic-unit")
-        self.name = path.name
+        self.name, self.calibrated = path.name, is_calibrated(recording)
         self.ended = False
         self.received = size_of(path)
         self.notes = [note for note in recording.notes if not is_time_zero(note)]

@@ -19,12 +19,24 @@ from mcap.records import Metadata
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed, shortened
 from magyc_gtsam.io.mcap_compression import Damage
-from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Record, block_of, broken_up, parsed, unfinished, unpacked
+from magyc_gtsam.io.mcap_records import (
+    CALIBRATED_TOPIC,
+    HEAD,
+    MAGIC,
+    METADATA,
+    Record,
+    block_of,
+    broken_up,
+    parsed,
+    unfinished,
+    unpacked,
+)
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, SensorSource, choose, needed, unknown
 from magyc_gtsam.live.source import SENSORS, NewSamples, none
 from magyc_gtsam.recording import Samples
+from magyc_gtsam.recording.applied import CALIBRATED
 
 _BATCH = 1 << 20  # bytes after which a batch is returned, so that catching up with a long file shows progress
 _POLL = 0.05  # s between checks of a file that does not grow
@@ -34,6 +46,9 @@ class McapFollower:
     """The magnetometer and gyroscope samples of a growing file; a `LiveSource`.
 
     Stamps are seconds on the clock of the log (for ROS since 1970), not counted from its first row.
+
+    Attributes:
+        calibrated: whether the field is that of `magyc-gtsam apply`.
 
     Args:
         path: the file; it must exist, but may be empty.
@@ -59,6 +74,8 @@ class McapFollower:
             self._file: IO[bytes] = open(self._path, "rb", buffering=0)  # noqa: SIM115
         except OSError as error:
             raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
+        self.calibrated = False
+        self._calibrated: set[str] = set()  # keys of the topics that are calibrated
         self._place = 0  # byte at which the complete records end
         self._declared = 0  # bytes of the record there, which is incomplete
         # Only the topics of the two sensors are needed, not those of channels.
@@ -93,11 +110,21 @@ class McapFollower:
             for record in self._records():
                 if not isinstance(record, Metadata):
                     self._topics.keep(record)
+                elif record.name == METADATA:
+                    self._calibrated |= record.metadata.keys()
             batch = self._batch()
+            self._note_calibrated()
             remaining = until - time.monotonic()
             if batch or self.ended or remaining <= 0:
                 return batch
             time.sleep(min(_POLL, remaining))
+
+    def _note_calibrated(self) -> None:
+        """Note it once if the field is that of `apply`, which says so anywhere in its file."""
+        source = self._chosen.get("magnetic_field")
+        if source is not None and not self.calibrated and CALIBRATED_TOPIC + source.topic.name in self._calibrated:
+            self.calibrated = True
+            self.notes.append(CALIBRATED)
 
     def _records(self) -> Iterator[Record]:
         """Yield the complete records that have not been read yet, up to some megabytes."""
@@ -123,7 +150,7 @@ class McapFollower:
             self._declared = length
             if opcode == 0 or self._place + HEAD.size + length > size:
                 return  # reserved space, or a record that is still being written
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.METADATA):
                 yield from self._parsed(opcode, self._read(length))
             self.ended = opcode in (Opcode.DATA_END, Opcode.FOOTER)
             self._place += HEAD.size + length
