@@ -26,6 +26,7 @@ from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.samples.first import First
+from magyc_gtsam.simulation.environment import CHANNELS
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60
@@ -347,12 +348,28 @@ def test_a_saturation_is_no_cubic_beside_it(seed: int) -> None:
     assert said.get("cubic", 0.0) < 0.3
 
 
-@pytest.mark.parametrize(("duration", "orders"), [(5, [0]), (30, [0, 4]), (50, [0, 4]), (120, [0, 4, 12])])
-def test_a_drift_is_a_line_or_slow(duration: int, orders: list[int]) -> None:
-    """Its modes have periods of 12 s and longer."""
+@pytest.mark.parametrize(
+    ("duration", "orders", "constants"),
+    [(5, [0], []), (30, [0, 4], [9]), (50, [0, 4], [15]), (120, [0, 4, 12], [12, 36])],
+)
+def test_a_drift_is_a_line_or_slow(duration: int, orders: list[int], constants: list[float]) -> None:
+    """Its modes have periods of 12 s and longer, what warms up has a time constant of half of that."""
     recording = mg.simulate("wide", duration, seed=1).recording
     twin = base_model(recording, None, short_term_noise(recording)).twin
-    assert [one["order"] for one in TERMS[DRIFT].settings(twin)] == orders
+    settings = TERMS[DRIFT].settings(twin)
+    assert [one["order"] for one in settings if "constant" not in one] == orders
+    assert [one["constant"] for one in settings if "constant" in one] == pytest.approx(constants, rel=0.05)
+    for one in settings:
+        assert ["constant" in near for near in TERMS[DRIFT].refined(twin, one)] == [True] * 5 * ("constant" in one)
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_a_gain_that_warms_up_is_a_drift(seed: int) -> None:
+    """A thermometer of the water that lags by minutes has nearly the same course; it was named instead."""
+    recording = mg.simulate("wide", 300, seed=seed, effects=[("gain-drift", 2.0)], channels=CHANNELS).recording
+    (effect,) = mg.find_gap(recording).effects
+    assert effect.name == "gain-drift"
+    assert "constant" in effect.setting
 
 
 @pytest.mark.parametrize("seed", [6, 9, 10])

@@ -12,6 +12,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.gap.effects import TERMS
 
 SOFT = np.array([[1.05, 0.04, 0.0], [0.04, 0.95, 0.02], [0.0, 0.02, 1.01]])
 HARD = np.array([2e-6, -12e-6, 9e-6])
@@ -59,6 +60,19 @@ def test_a_form_is_its_columns_times_its_value(name: str) -> None:
     linear = np.tensordot(value, columns, axes=1)
     # A rotation of axes is exact, and delays of axes are of second order: their columns are the first order of it.
     np.testing.assert_allclose(added, linear, atol=np.abs(linear).max() * (1e-12 if exact else 1e-2))
+
+
+def test_what_warms_up_drifts_ever_less() -> None:
+    """By one unit from the start to the end; with a long time constant along a straight line."""
+    at, whole = signals(), {"order": 0.0, "start": 0.0, "end": 5.0}
+    warm = FORMS["hard-iron-drift"].columns(at, whole | {"constant": 1.25})[0, 0]
+    expected = (1 - np.exp(-at.time / 1.25)) / (1 - np.exp(-4.0)) - 0.5
+    np.testing.assert_allclose(warm, expected, atol=1e-12)
+    line, slow = (FORMS["hard-iron-drift"].columns(at, whole | more)[0, 0] for more in ({}, {"constant": 5e5}))
+    np.testing.assert_allclose(slow, line, atol=1e-5)
+    for name in ("hard-iron-drift", "gain-drift", "gyro-bias-drift"):
+        said = TERMS[name].say(np.ones(3), np.ones(3), whole | {"constant": 84.2})
+        assert said.endswith("over the recording, like a part that warms up, with a time constant of 84 s")
 
 
 def test_channels_are_known_by_their_names() -> None:

@@ -110,7 +110,7 @@ def _after(s: Signals, at: float) -> Array:
 def drift(s: Signals, setting: Setting) -> Array:
     """Return the columns of a drift over [start, end]: `order` cosines of half periods, the modes of a random walk.
 
-    An order of 0 is a linear drift.
+    An order of 0 is a linear drift or, with a time `constant` in s, that of a part that warms up or cools down.
     """
     return per_axis(_course(s, setting))
 
@@ -123,6 +123,9 @@ def gain_drift(s: Signals, setting: Setting) -> Array:
 def _course(s: Signals, setting: Setting) -> Array:
     share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
     order = int(setting["order"])
+    if order == 0 and "constant" in setting:
+        reach = (setting["end"] - setting["start"]) / setting["constant"]
+        share = np.expm1(-reach * np.clip(share, 0.0, 1.0)) / np.expm1(-reach)
     if order == 0:
         return np.asarray(share[None] - 0.5)
     cosine = np.cos(np.pi * np.clip(share, 0.0, 1.0))

@@ -7,8 +7,17 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import RATE_MATRIX
-from magyc_gtsam.gap.effects.iron import drifts, lagged, lagged_nearby, step_nearby, step_times
-from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, at_time, behind, deviation_of_modes, vector
+from magyc_gtsam.gap.effects.iron import drifts, lagged, lagged_nearby, step_nearby, step_times, warming_nearby
+from magyc_gtsam.gap.effects.term import (
+    AXES,
+    NEARBY,
+    EffectTerm,
+    at_time,
+    behind,
+    deviation_of_modes,
+    over_recording,
+    vector,
+)
 from magyc_gtsam.gap.model.twin import Twin
 
 # rad/s, prior deviation of a change of the bias: that of data sheets' 0.03 to 0.16 °/s per kelvin over 20 K, 3 °/s.
@@ -51,7 +60,7 @@ def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
     if setting["order"] == 0:
-        return f"the gyroscope's bias drifted by {vector(value, sigma)} mrad/s over the recording"
+        return f"the gyroscope's bias drifted by {vector(value, sigma)} mrad/s {over_recording(setting)}"
     by = deviation_of_modes(value)
     return f"the gyroscope's bias drifted, by {by} mrad/s (standard deviation) over the recording"
 
@@ -146,6 +155,7 @@ BIAS_DRIFT = EffectTerm(
     say=_say_drift,
     motion="rest for some seconds now and then, and log the temperature",
     settings=drifts,
+    refined=warming_nearby,
     products=("rate",),
 )
 G_SENSITIVITY = EffectTerm(

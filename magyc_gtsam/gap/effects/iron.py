@@ -9,7 +9,15 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects.term import NEARBY, EffectTerm, at_time, behind, deviation_of_modes, vector
+from magyc_gtsam.gap.effects.term import (
+    NEARBY,
+    EffectTerm,
+    at_time,
+    behind,
+    deviation_of_modes,
+    over_recording,
+    vector,
+)
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -17,6 +25,7 @@ _STEPS = 100  # times at which a step of the hard iron is tried
 _FEWER = 40  # of other steps: with more values, or of more samples
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s, lags of the sensor's temperature behind the thermometer
 _CIRCUIT_LAGS = (1.0, 3.0)  # s, of a field behind the current: housings, a filtered current
+_WARMING = (0.1, 0.3)  # of the recording, time constants of what warms up
 _ENDS = 16  # times at which a magnetic object may be attached or removed
 _IN_WINDOW = 6  # times inside a window
 _MARGIN = 4  # windows at both ends where a step cannot be distinguished from noise
@@ -119,9 +128,19 @@ def irregular_drifts(twin: Twin) -> Iterator[dict[str, float]]:
 
 
 def drifts(twin: Twin) -> list[dict[str, float]]:
-    """Return a straight line, and the slow part of a random walk in a few modes or more."""
+    """Return a straight line, courses of what warms up, and the slow part of a random walk in a few modes or more."""
     start, end = float(twin.time[0]), float(twin.time[-1])
-    return [{"order": 0.0, "start": start, "end": end}, *islice(irregular_drifts(twin), 2)]
+    line = {"order": 0.0, "start": start, "end": end}
+    constants = (share * (end - start) for share in _WARMING)
+    warming = [line | {"constant": each} for each in constants if 2 * each >= RULES.drift_period]
+    return [line, *warming, *islice(irregular_drifts(twin), 2)]
+
+
+def warming_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    """Return time constants between and beyond those of `drifts`."""
+    return [
+        dict(setting) | {"constant": setting["constant"] * s} for s in (NEARBY if "constant" in setting else ())
+    ]
 
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
@@ -148,7 +167,7 @@ def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
     if setting["order"] == 0:
-        return f"the hard iron drifted by {vector(value[:3], sigma[:3])} µT over the recording"
+        return f"the hard iron drifted by {vector(value[:3], sigma[:3])} µT {over_recording(setting)}"
     by = deviation_of_modes(value)
     return f"the hard iron drifted irregularly, by {by} µT (standard deviation) over the recording"
 
@@ -241,5 +260,6 @@ DRIFT = EffectTerm(
     say=_say_drift,
     motion="record longer, and log the temperature",
     settings=drifts,
+    refined=warming_nearby,
     products=("reading", "gain"),
 )

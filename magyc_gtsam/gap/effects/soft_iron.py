@@ -7,8 +7,16 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import ENTRIES
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects.iron import circuits, drifts, lagged, lagged_nearby, step_nearby, step_times
-from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, deviation_of_modes, vector
+from magyc_gtsam.gap.effects.iron import (
+    circuits,
+    drifts,
+    lagged,
+    lagged_nearby,
+    step_nearby,
+    step_times,
+    warming_nearby,
+)
+from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, deviation_of_modes, over_recording, vector
 
 
 def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
@@ -18,7 +26,7 @@ def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
     if setting["order"] == 0:
-        return f"the magnetometer's gain drifted by {vector(value, sigma)} % over the recording"
+        return f"the magnetometer's gain drifted by {vector(value, sigma)} % {over_recording(setting)}"
     by = deviation_of_modes(value)
     return f"the magnetometer's gain drifted, by {by} % (standard deviation) over the recording"
 
@@ -63,6 +71,7 @@ GAIN_DRIFT = EffectTerm(
     say=_say_drift,
     motion="let the instrument warm up before, or log its temperature, and turn over now and then",
     settings=drifts,
+    refined=warming_nearby,
 )
 LOAD = EffectTerm(
     name="load-soft-iron",
