@@ -142,14 +142,15 @@ class Beside:
 
     def see(self, columns: Array, score_bias: Array) -> Seen:
         """Return what columns (N, 3n) with score bias (N,) have in common with the model."""
-        products = columns @ self._others.T
-        reach, own, on_signal = products[:, :-2], products[:, -2], products[:, -1]
-        return Seen(reach, own - score_bias / self.noise**2 - reach @ self._solved, on_signal)
+        reach = columns @ self._white.T
+        reach /= self.noise
+        score, on_signal = (columns @ self._pulls).T
+        return Seen(reach, score - score_bias / self.noise**2, on_signal)
 
     @cached_property
-    def _others(self) -> Array:
-        """(m + 2, 3n) what `see` multiplies columns with, at once because the columns are many."""
-        return np.vstack([self._white, self._residual, self.signal]) / self.noise
+    def _pulls(self) -> Array:
+        """(3n, 2) what pulls at a column, and the effects' signal, per unit of it."""
+        return np.column_stack([self.left(), self.signal]) / self.noise
 
     @cached_property
     def signal(self) -> Array:
