@@ -123,10 +123,10 @@ def gain_drift(s: Signals, setting: Setting) -> Array:
 def _course(s: Signals, setting: Setting) -> Array:
     share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
     order = int(setting["order"])
-    if order == 0 and "constant" in setting:
-        reach = (setting["end"] - setting["start"]) / setting["constant"]
-        share = np.expm1(-reach * np.clip(share, 0.0, 1.0)) / np.expm1(-reach)
     if order == 0:
+        if "constant" in setting:
+            reach = (setting["end"] - setting["start"]) / setting["constant"]
+            share = np.expm1(-reach * np.clip(share, 0.0, 1.0)) / np.expm1(-reach)
         return np.asarray(share[None] - 0.5)
     cosine = np.cos(np.pi * np.clip(share, 0.0, 1.0))
     return np.asarray(chebvander(cosine, order).T[1:])  # of order k: cos k φ
