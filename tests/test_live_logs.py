@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,12 @@ from test_live_files import drained
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io import read
+from magyc_gtsam.io import read, write_mcap
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.address import open_source
 from magyc_gtsam.live.logged import CompleteLog
 from magyc_gtsam.live.mcap_follow import McapFollower
+from magyc_gtsam.live.source import MEANS
 
 
 def test_the_folder_of_a_bag_has_the_samples_and_stamps_of_the_whole_file(tmp_path: Path) -> None:
@@ -138,3 +140,14 @@ def test_a_log_that_apply_wrote_gives_no_parameters(
     assert calibration.trusted
     with pytest.raises(MagycError, match="holds only the rest"):
         calibration.export("px4")
+
+
+def test_a_log_of_mean_rates_says_how_it_is_read(tmp_path: Path) -> None:
+    """Its mark is at the end, after the samples; they were taken for instants without a word."""
+    recording = replace(read(DIVE, channels=()).between(0.0, 20.0), angular_rate_is="interval-mean")
+    write_mcap(tmp_path / "means.mcap", recording)
+    follower = McapFollower(tmp_path / "means.mcap", Request())
+    drained(follower)
+    assert MEANS in follower.notes
+    assert MEANS in CompleteLog(tmp_path / "means.mcap", Request()).notes
+    assert MEANS not in CompleteLog(DIVE, Request()).notes

@@ -9,7 +9,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import read
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.live.source import NewSamples, nothing
+from magyc_gtsam.live.source import MEANS, NewSamples, nothing
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.applied import is_calibrated
 from magyc_gtsam.recording.time_zero import is_time_zero, time_zero_of
@@ -55,6 +55,7 @@ class CompleteLog:
         self.ended = False
         self.received = size_of(path)
         self.notes = [note for note in recording.notes if not is_time_zero(note)]
+        self.notes += [MEANS] * (recording.angular_rate_is == "interval-mean")
         gyroscope, self._zero = recording.gyroscope, time_zero_of(recording)
         self._samples = _with_repeats(recording), gyroscope
         self._next, self._end = float(recording.time[0]), float(recording.time[-1])

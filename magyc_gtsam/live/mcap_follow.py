@@ -34,7 +34,7 @@ from magyc_gtsam.io.mcap_records import (
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, SensorSource, choose, needed, unknown
-from magyc_gtsam.live.source import SENSORS, NewSamples, none
+from magyc_gtsam.live.source import MEANS, SENSORS, NewSamples, none
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.recording.applied import CALIBRATED
 
@@ -112,6 +112,8 @@ class McapFollower:
                     self._topics.keep(record)
                 elif record.name == METADATA:
                     self._calibrated |= record.metadata.keys()
+                    if record.metadata.get("angular_rate_is") == "interval-mean":
+                        self.notes.append(MEANS)
             batch = self._batch()
             self._note_calibrated()
             remaining = until - time.monotonic()

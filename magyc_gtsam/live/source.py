@@ -9,6 +9,10 @@ import numpy as np
 from magyc_gtsam.recording import Samples
 
 SENSORS = ("magnetic_field", "angular_rate")
+MEANS = (  # noted of a log that says so, which an MCAP file does at its end
+    "the angular rates of this log are means over the intervals before their stamps; unless they were read so, run "
+    "again with --angular-rate-is interval-mean"
+)
 
 
 def none() -> Samples:
