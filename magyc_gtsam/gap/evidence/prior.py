@@ -56,9 +56,9 @@ class Prior:
             Judged on edition 391.
         form_of_colour: the same of all names for correlated noise beside a varying field, three tenths in amplitude: it
             has a hundred columns and more and explains all of a deviation, where any family explains a part. In 18 real
-            logs with such noise put in it has 0.095 to 5 of the power that it could explain of the names' signal; in
-            nine others where it was named (editions 387, 388 and 390) 0.06 to 0.09, and three times more beside
-            something unknown.
+            logs with such noise put in it has 0.095 to 5 of the power that it could explain of the names' signal; of
+            nine others where it was named (editions 387, 388 and 390) six have 0.06 to 0.09, and three, beside
+            something unknown, 0.2 to 0.8.
         profile_field, profile_rate: smallest value of a generic profile that matters, T and rad/s.
         depth, beam: largest number of effects in a set, beside a varying field, and candidates that extend each set.
         nodes, most: largest number of fitted sets, without and with the sets in which rivals were exchanged.
