@@ -74,10 +74,10 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
         stable = left < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
         chain = replace(fit.chain, noise=noise)
         reduced = chain.eliminate(fit.state, weights)
-        fit = replace(fit, chain=chain, reduced=reduced, iterations=fit.iterations + 1, noise_freedom=freedom)
         # Steps at other noise levels and weights do not tell how far the next ones go: where a direction is hardly
         # determined, one of 0.04 was followed by one of 0.36.
-        fit = replace(fit, last_steps=(0.0, 0.0))
+        steps, spent = (0.0, 0.0), fit.iterations + 1
+        fit = replace(fit, chain=chain, reduced=reduced, iterations=spent, noise_freedom=freedom, last_steps=steps)
         # The gradient of the noise levels is valid at a minimum only, so descend in every round.
         fit = descend(fit, SETTLED if stable else NEAR)
         if stable or not fit.converged:
