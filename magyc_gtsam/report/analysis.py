@@ -132,6 +132,14 @@ def disturbed_stretches(time: Array, weight: Array) -> list[tuple[float, float]]
     return [(max(float(time[g[0]]) - half, 0.0), float(time[g[-1]]) + half) for g in groups]
 
 
+def time_unit(time: Array) -> tuple[float, str]:
+    """Return seconds per unit of a time axis, and the axis' label."""
+    span = float(time[-1] - time[0])
+    if span <= 1200:
+        return 1.0, "Time (s)"
+    return (60.0, "Time (min)") if span <= 3 * 3600 else (3600.0, "Time (h)")
+
+
 def summary(time: Array, value: Array, most: int = 600) -> tuple[Array, Array, Array, Array]:
     """Return (time, mean, lowest, highest) of at most `most` bins of equal sample count, ignoring NaN."""
     per_bin = -(-len(time) // most)

@@ -22,7 +22,8 @@ const DATES = [
   [1, "{HH}:{mm}:{ss}", "\n{YYYY}-{MM}-{DD}", null, "\n{MM}-{DD}", null, null, null, 1],
   [0.001, ":{ss}.{fff}", "\n{YYYY}-{MM}-{DD} {HH}:{mm}", null, "\n{MM}-{DD} {HH}:{mm}", null, "\n{HH}:{mm}", null, 1],
 ];
-const MINUTES = [60, 120, 300, 600, 1200, 1800, 3600, 7200, 14400, 36000];
+const MINUTES = [60, 120, 300, 600, 1200, 1800, 3600];
+const HOURS = [1800, 3600, 7200, 10800, 21600, 43200, 86400];
 
 function rounded(value, span) {
   if (value === null || value === undefined) return "–";
@@ -149,7 +150,7 @@ function drawLines(figure, spec) {
     width: place.clientWidth, height: spec.height || 230, legend: { show: false }, series, bands,
     scales: { x: { time: spec.dates !== undefined, distr: spec.logx ? 3 : 1, ...(spec.xlim ? { range: (u, a, b) => (u.zoomed ? [a, b] : spec.xlim) } : {}) }, y: range },
     axes: [
-      axis(spec.xlabel, { divide, axis: spec.dates !== undefined ? { values: DATES, space: 70 } : spec.names ? { incrs: WHOLE } : divide > 1 ? { incrs: MINUTES } : {} }),
+      axis(spec.xlabel, { divide, axis: spec.dates !== undefined ? { values: DATES, space: 70 } : spec.names ? { incrs: WHOLE } : divide > 1 ? { incrs: divide > 60 ? HOURS : MINUTES } : {} }),
       axis(spec.ylabel, { axis: { size: 58 } }),
     ],
     ...(spec.dates !== undefined ? { tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1e3), "UTC") } : {}),

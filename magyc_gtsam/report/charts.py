@@ -15,11 +15,10 @@ import numpy as np
 from markupsafe import Markup
 
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.report.analysis import Coverage, spread, summary
+from magyc_gtsam.report.analysis import Coverage, spread, summary, time_unit
 
 MOST_BINS = 800  # largest number of bins per series of a chart over time
 MOST_POINTS = 2500  # largest number of points per cloud of a sphere
-_LONG = 1200.0  # s, duration above which a chart shows minutes
 _UNIX = 1e6  # s; times beyond this are from a clock that does not start with the log
 
 
@@ -153,20 +152,19 @@ def over_time(
     for label, colour, value in values:
         middle, mean, low, high = summary(time, value, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))
-    return chart(title, caption, middle, series, clock(middle, ylabel, levels, spans, strip), wide=wide)
+    return chart(title, caption, middle, series, time_frame(middle, ylabel, levels, spans, strip), wide=wide)
 
 
-def clock(
+def time_frame(
     time: Array,
     ylabel: str,
     levels: Sequence[float] = (),
     spans: Sequence[tuple[float, float]] = (),
     strip: bool = False,
 ) -> Frame:
-    """Return the frame of a chart over time, in seconds or minutes."""
-    long = float(time[-1] - time[0]) > _LONG
-    more = {"time": True, "divide": 60.0 if long else 1.0, "strip": strip}
-    return Frame("Time (min)" if long else "Time (s)", ylabel, levels, spans, more=more)
+    """Return the frame of a chart over time."""
+    unit, label = time_unit(time)
+    return Frame(label, ylabel, levels, spans, more={"time": True, "divide": unit, "strip": strip})
 
 
 def origin(recording: Recording) -> float:

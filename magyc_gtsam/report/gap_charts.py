@@ -14,7 +14,7 @@ from magyc_gtsam.level_turn import vertical
 from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.report.analysis import summary
-from magyc_gtsam.report.charts import MOST_BINS, Figure, Frame, Series, chart, clock, origin
+from magyc_gtsam.report.charts import MOST_BINS, Figure, Frame, Series, chart, origin, time_frame
 
 _MICRO = 1e6
 _SECTORS = 36
@@ -60,7 +60,7 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
         error = np.degrees(heading_error(corrected.magnetic_field[rows], corrected.attitude[rows]))
         middle, mean, low, high = summary(corrected.time[rows] - origin(recording), error, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))
-    frame = clock(middle, "Heading error (°)", levels=[0.0])
+    frame = time_frame(middle, "Heading error (°)", levels=[0.0])
     return [chart("Heading against the reference", "The mean is removed.", middle, series, frame)]
 
 
@@ -83,7 +83,7 @@ def gap_map(recording: Recording, before: GapMap, after: GapMap) -> Figure:
         label, "Misfit (σ)", [1.0], logx=before.over == "frequency" and bool(before.centre[0] > 0), height=200
     )
     if before.over == "time":
-        frame = clock(centre, "Misfit (σ)", levels=[1.0])
+        frame = time_frame(centre, "Misfit (σ)", levels=[1.0])
     return chart(f"Over {before.over}", f"{worst}{closing}.", centre, series, frame)
 
 
@@ -111,7 +111,7 @@ def _over_time(
     for label, colour, loop in loops:
         when, mean, _, _ = summary(loop.time - start, _length(loop), MOST_BINS)
         series.append(Series(label, colour, np.interp(middle, when, mean, np.nan, np.nan)))
-    frame = clock(middle, "Prediction error (µT)")
+    frame = time_frame(middle, "Prediction error (µT)")
     limited = Frame(frame.xlabel, frame.ylabel, ylim=limits, more={**frame.more, "strip": True})
     hint = "Drag over an interval to copy it for the command line."
     return chart("Over time", f"{caption} {hint}", middle, series, limited, wide=True)

@@ -24,7 +24,7 @@ from magyc_gtsam.report.analysis import (
     disturbed_stretches,
     field_history,
 )
-from magyc_gtsam.report.charts import Figure, Frame, Series, chart, clock, origin, over_time, sphere
+from magyc_gtsam.report.charts import Figure, Frame, Series, chart, origin, over_time, sphere, time_frame
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict, degrees, judged
 from magyc_gtsam.storage.files import expect_path, write_text
@@ -253,7 +253,7 @@ def _residuals_over_time(name: str, time: Array, whitened: Array, kept: Mask, we
         f"less than half the weight; the mean weight is {weight.mean():.2f}.",
         time,
         series,
-        clock(time, "Residual (σ)", levels=(-3.0, 3.0)),
+        time_frame(time, "Residual (σ)", levels=(-3.0, 3.0)),
     )
 
 

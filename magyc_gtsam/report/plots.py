@@ -14,7 +14,7 @@ from magyc_gtsam.gap.outcome.agreement import GapMap, OpenLoop
 from magyc_gtsam.heading_uncertainty import systematic
 from magyc_gtsam.level_turn import LevelTurn
 from magyc_gtsam.recording import Array
-from magyc_gtsam.report.analysis import FieldHistory, ellipsoid_outline, spread, summary
+from magyc_gtsam.report.analysis import FieldHistory, ellipsoid_outline, spread, summary, time_unit
 
 RAW = "#d9730d"  # orange and blue: distinct to colour-blind readers and on light and dark backgrounds
 CALIBRATED = "#2b8cdb"
@@ -78,7 +78,7 @@ def level_turn_error(figure: FigureBase, turn: LevelTurn, calibration: Calibrati
 
 def before_after(figure: FigureBase, time: Array, raw: Array, calibrated: Array, label: str, ideal: float) -> None:
     """Plot means as lines, ranges as bands and `ideal` dashed; in two panels where one scale would hide a curve."""
-    unit, time_label = clock(time)
+    unit, time_label = time_unit(time)
     low, high = np.nanpercentile(calibrated, [1, 99])
     both = np.append(raw, calibrated)
     apart = high - low < _FLAT * (np.nanmax(both) - np.nanmin(both))
@@ -90,14 +90,6 @@ def before_after(figure: FigureBase, time: Array, raw: Array, calibrated: Array,
         axes.set_ylabel(label)
     rows[-1].axhline(ideal, color=INK, linewidth=1, linestyle="--")
     rows[-1].set(xlabel=time_label, xlim=(time[0] / unit, time[-1] / unit))
-
-
-def clock(time: Array) -> tuple[float, str]:
-    """Return seconds per unit of a time axis, and its label."""
-    span = float(time[-1] - time[0])
-    if span <= 1200:
-        return 1.0, "Time (s)"
-    return (60.0, "Time (min)") if span <= 3 * 3600 else (3600.0, "Time (h)")
 
 
 _TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000)
@@ -124,7 +116,7 @@ def gap_map(figure: FigureBase, before: GapMap, after: GapMap) -> None:
 
 def open_loop(figure: FigureBase, before: OpenLoop, after: OpenLoop) -> None:
     """Draw the error of the prediction by the gyroscope alone over time, with the band that the model expects."""
-    unit, label = clock(before.time)
+    unit, label = time_unit(before.time)
     panels = figure.subplots(3, 1, sharex=True)
     for axis, axes in enumerate(panels):
         time = after.time / unit
@@ -150,6 +142,6 @@ def _plain_ticks(axes: Axes, values: Sequence[float] | Array) -> None:
 def _axis(gap: GapMap) -> tuple[float, str]:
     """Return divisor and label of a map's variable."""
     if gap.over == "time":
-        return clock(gap.centre)
+        return time_unit(gap.centre)
     name = gap.over[0].upper() + gap.over[1:]
     return 1.0, f"{name} ({gap.unit})" if gap.unit else name
