@@ -77,8 +77,9 @@ def find_gap(
         progress: called with the share done, 0 to 1.
 
     Raises:
-        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion or
-            noise-free data are not an error but give the verdict "not enough information".
+        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion,
+            noise-free data or an axis that is stuck but for its last bit are not an error but give the verdict "not
+            enough information".
     """
     expect_progress(progress)
     names, report = _names(candidates), progress or (lambda _: None)

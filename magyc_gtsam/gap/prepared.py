@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.model_error.samples import flickers
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.estimators.smoother.truncated import without_truncation
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
@@ -22,6 +23,7 @@ from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import Usable, without_faults
 
+_MEND = "choose an interval without it (start=, end=), or have the sensor repaired"
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
 _LOG_SAMPLES = "log its own samples with their times, or give the rows in which it is new"
 _SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
@@ -75,6 +77,11 @@ class Prepared:
 
     def untestable(self) -> tuple[str, Doubt] | None:
         """Return why nothing can be tested, in full and in few words with a remedy; None if there is enough to test."""
+        stuck = flickers(self.usable.recording)
+        if (
+            stuck
+        ):  # as `calibrate` says; every test would be one of this axis, and none of the catalogue explains it
+            return f"{stuck}: {_MEND}", Doubt(stuck, _MEND)
         motion = self._determined()
         if not motion.observable:
             weakest = motion.weak[0]
