@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.reasons import disturbed_end
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import skew_of, widened
 from magyc_gtsam.estimators.smoother.smoother import calibration_of
@@ -59,6 +60,16 @@ def report_of(
     configuration = dict(online.settings.configuration)
     result = replace(result, diagnostics={**result.diagnostics, "windows": windows}, configuration=configuration)
     return as_mounted(result, recording)
+
+
+def with_doubt(calibration: Calibration, fit: Fit) -> Calibration:
+    """Return the calibration of a reading, not trusted if the newest windows of its fit, that of a tail, are disturbed.
+
+    Refits go on from theirs without this doubt: a step is looked for only after one that was trusted. A fit of all
+    windows is not doubted, since `recent_change` covers what it would find: docs/online_measured.md has the figures.
+    """
+    doubt = disturbed_end(fit) if calibration.trusted else ""
+    return replace(calibration, converged=False, message=doubt) if doubt else calibration
 
 
 def with_misalignment(online: SmootherState, fit: Fit) -> Fit:

@@ -33,7 +33,7 @@ from magyc_gtsam.online.marginal import continued
 from magyc_gtsam.online.random_walk import advance_filter, fit_random_walk
 from magyc_gtsam.online.recent_change import recent_change
 from magyc_gtsam.online.refit import REFIT_GROWTH, SHORTEST_TAIL, fit_samples, refit, refit_from_windows
-from magyc_gtsam.online.report import drift_of, report_of, testable
+from magyc_gtsam.online.report import drift_of, report_of, testable, with_doubt
 from magyc_gtsam.online.restart import restart, restart_after_change
 from magyc_gtsam.online.state import FIRST, LEAST_RESTARTED, Belief, OnlineOptions, SmootherState
 from magyc_gtsam.recording import Array, Samples
@@ -202,7 +202,7 @@ class OnlineSmoother:
         fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
         change = self._recent_change(fit)
         calibration = report_of(online, ending, fit, belief.tail, online.last, change, belief.contradictions)
-        return with_drift(calibration, belief.drift)
+        return with_doubt(with_drift(calibration, belief.drift), fit)
 
     def _undetermined(self) -> Calibration | None:
         """Return the calibration of all samples so far where the last refit found too little motion to go on from.

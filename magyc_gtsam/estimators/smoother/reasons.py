@@ -41,11 +41,15 @@ def jumped(fit: Fit, recording: Recording) -> list[str]:
     return [f"the field jumped {named}: calibrate a stretch between (start=, end=), or run `mg.find_gap`"]
 
 
-def disturbed_end(fit: Fit, recording: Recording) -> str:
-    """Return a sentence on a disturbance that lasts to the end of the recording; "" if there is none.
+def disturbed_end(fit: Fit, first: float | None = None) -> str:
+    """Return a sentence on a disturbance that lasts to the end of what was fitted; "" if there is none.
 
     The iron may have changed for good there: a ramp of 8 µT over the last tenth was rejected as a disturbance, and the
     calibration of what was before trusted, 9° off at the end.
+
+    Args:
+        fit: of a recording, or of the end of a longer one.
+        first: stamp, s, of the recording's first row, from which times count; None where the recording goes on.
     """
     if fit.weights.window.min() >= _LEAST_TRUSTED:
         return ""
@@ -58,11 +62,12 @@ def disturbed_end(fit: Fit, recording: Recording) -> str:
     last = int(np.argmax(rejected)) + 1
     if last < _LAST_WINDOWS or length[-last:].sum() < _LAST:
         return ""
-    begin = time[-last] - recording.time[0]
-    return (
-        f"the field is disturbed from {begin:.0f} s to the end, where the iron may have changed for good: choose an "
-        "interval before it (end=), or record on after a change"
-    )
+    if first is None:
+        when, remedy = f"in the last {windows.time[-1] - time[-last]:.0f} s", "keep turning until that is decided"
+    else:
+        when = f"from {time[-last] - first:.0f} s to the end"
+        remedy = "choose an interval before it (end=), or record on after a change"
+    return f"the field is disturbed {when}, where the iron may have changed for good: {remedy}"
 
 
 def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:

@@ -75,7 +75,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         whole = calibration_of(recording, fit, options, unexplained=unexplained.without(LATE_DRIFT))
         doubt = instrument_change(recording, stretches, whole, options, _of)
     if not doubt and calibration.trusted:
-        doubt = disturbed_end(fit, recording)
+        doubt = disturbed_end(fit, float(recording.time[0]))
     if doubt:
         doubts = [doubt, *doubts]
         calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
