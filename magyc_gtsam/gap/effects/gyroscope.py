@@ -79,7 +79,9 @@ SCALE = EffectTerm(
     ),
     unit="‰",
     matters=4e-3,
-    prior=0.02,
+    # More than data sheets allow, 0.03: a wrong range or conversion is off by more. At 0.02, five of twelve scales of 7
+    # to 16 % put into real logs (editions 390 to 392) were called a scale that depends on the rate.
+    prior=0.1,
     ordinary=0.01,  # 0.2 to 0.4 % in BROAD 01 and 06
     rivals=("misalignment", "gyro-quadratic"),
     parameters=RATE_MATRIX,

@@ -46,6 +46,11 @@ class Terms:
         kept = self.of_term != (-1 if without is None else without)
         return rest.with_effects(self.columns[kept], scale[self.of_term][kept] ** 2, self.score_bias[kept])
 
+    def information(self, rest: Beside) -> tuple[Array, Array]:
+        """Return information (k, k) and score (k,) of their values beside the rest."""
+        seen = rest.see(self.columns, self.score_bias)
+        return self.columns @ self.columns.T / rest.noise**2 - seen.reach @ seen.reach.T, seen.score
+
     @classmethod
     def of(cls, fit: Refit) -> Terms:
         twin, terms = fit.twin, fit.model.terms
@@ -114,9 +119,7 @@ def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Exp
     count = len(fit.model.terms)
     if not count:
         return 0.0, np.zeros(0), Explained(np.zeros((0, 0)), np.zeros(0), terms.of_term, np.zeros(0)), plain.square
-    seen = plain.see(terms.columns, terms.score_bias)
-    information = terms.columns @ terms.columns.T / plain.noise**2 - seen.reach @ seen.reach.T
-    score = seen.score
+    information, score = terms.information(plain)
 
     def nats(scale: Array) -> float:
         variance = scale[terms.of_term] ** 2

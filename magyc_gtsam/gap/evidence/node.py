@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -87,18 +88,34 @@ class Node:
         result = sorted(range(len(terms)), key=lambda one: -self.of_terms.nats[one])
         while True:
             powers = self.of_terms.powers(result)
+            of_field = self._of_field(result, powers)
             for place in reversed(range(len(result))):
                 index, stronger = result[place], result[:place]
-                deviations = [
-                    PRIOR.form_of_field * self.of_field,
-                    *(PRIOR.form * powers[index, j] for j in stronger),
-                ]
+                deviations = [PRIOR.form * powers[index, j] for j in stronger]
                 passed = any(one_event(terms[index], terms[other]) for other in stronger)
-                if passed or powers[index, index] <= max(deviations):
+                if passed or index in of_field or powers[index, index] <= max([0.0, *deviations]):
                     del result[place]
                     break
             else:
                 return sorted(result)
+
+    def _of_field(self, among: Sequence[int], powers: Mapping[tuple[int, int], float]) -> set[int]:
+        """Return the terms that may be a deviation of the field variation from its form.
+
+        The field can explain most of what an effect does, but in place of the field the effect explains a good part.
+        """
+        if self.variation is None:
+            return set()
+        alone, noise, field = self._without_field.powers(among), self.variation.noise, self.of_field
+        beside_it = {i for i in among if powers[i, i] <= PRIOR.beside_field * field}
+        return beside_it | {i for i in among if alone[i, i] <= PRIOR.in_place_of_field * noise**2 * field}
+
+    @cached_property
+    def _without_field(self) -> Explained:
+        """Return what the terms explain if the field does not vary, in units of the sensors' noise."""
+        terms = Terms.of(self.fit)
+        information, score = terms.information(terms.beside(None))
+        return Explained(information, score, terms.of_term, self.of_terms.nats)
 
     @cached_property
     def powers(self) -> dict[str, float]:
