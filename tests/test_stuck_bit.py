@@ -1,4 +1,4 @@
-"""A bit of the magnetometer's converter that always reads the same, or is wrong in some of the readings."""
+"""A bit of a converter that always reads the same, or of the magnetometer's that is wrong in some of the readings."""
 
 from __future__ import annotations
 
@@ -148,3 +148,35 @@ def test_online_and_batch_refuse_a_bit_that_fails_from_some_time_on() -> None:
     assert online.calibration is not None
     assert not online.calibration.trusted
     assert online.progress.sentence.startswith(message)
+
+
+def with_stuck_rate_bit(recording: mg.Recording, worth: int, step: float = 1.2e-3, axis: int = 2) -> mg.Recording:
+    """The recording with rates in steps (rad/s), with a bit of an axis that is always set."""
+    assert recording.angular_rate is not None
+    read = codes(recording.angular_rate, step)
+    read[:, axis] |= worth
+    return replace(recording, angular_rate=read * step)
+
+
+@pytest.mark.parametrize("motion", ["wide", "moderate", "tiny"])
+def test_a_stuck_bit_of_the_gyroscope_is_refused_in_batch_and_online(motion: str) -> None:
+    """The bias was off by half of what the bit is worth, at 50 sigmas, and trusted."""
+    sound = mg.simulate(motion, 400, seed=6).recording
+    message = "angular_rate: the bit worth 19.2 mrad/s of axis z of the gyroscope is stuck"
+    for worth in (0, 16):
+        bad = with_stuck_rate_bit(sound, worth)
+        calibration, online = mg.calibrate(bad), mg.OnlineCalibrator()
+        online.update(bad.time, bad.magnetic_field, bad.angular_rate)  # type: ignore[arg-type]
+        assert calibration.message.startswith(message) == (worth > 0)
+        assert calibration.trusted == (worth == 0)
+        assert online.progress.sentence.startswith(message) == (worth > 0)
+        assert not (worth and online.converged)
+
+
+def test_quick_turns_in_steps_are_no_fault_of_the_gyroscope() -> None:
+    """Their peaks stand out upwards at high rates and downwards at low ones, as the readings of a failing bit do."""
+    time = np.arange(6000) / 20
+    quick = (np.sin(time / 7) > 0.9)[:, None] * 1.5 * np.sin(2 * np.pi * 5.3 * time[:, None] + np.arange(3))
+    rate = quick + np.random.default_rng(2).normal(0, 5e-3, (6000, 3))
+    for step in (2e-4, 1.2e-3, 5e-3):
+        assert stuck_bit(np.rint(rate / step) * step, "angular_rate") is None

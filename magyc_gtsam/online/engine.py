@@ -106,7 +106,7 @@ class Engine(Protocol):
 
 def refusal(faults: SensorFaults) -> str:
     """Return the reason why the remaining samples allow no calibration; empty if they do."""
-    harmful = faults.stuck_bit, faults.clipped, faults.clipped_field
+    harmful = faults.stuck_bit, faults.stuck_rate_bit, faults.clipped, faults.clipped_field
     return "; ".join(fault.sentence for fault in harmful if fault is not None and fault.too_often)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -35,7 +36,10 @@ class SensorFaults:
         self.spikes = Spikes(), Spikes()
         self.cut_off = CutOff()
         self.full_scale = FullScale(samples, samples) if samples is not None else FullScale()
-        self.stuck_bits = StuckBits(samples, samples) if samples is not None else StuckBits()
+        self.stuck_bits = tuple(
+            StuckBits(sys.maxsize, sys.maxsize, each) if whole else StuckBits(sensor=each)
+            for each in ("magnetic_field", "angular_rate")
+        )
         self.repeats = Repeats(None) if whole else Repeats()
         if whole:
             self.magnetometer = StuckAxes(remembered=None)
@@ -59,7 +63,8 @@ class SensorFaults:
         turns = recording.angular_rate is not None and "angular_rate" in sensors
         faults.take(field, recording.gyroscope if turns else Samples(np.empty(0), np.empty((0, 3))), repeated)
         faults.full_scale.conclude()
-        faults.stuck_bits.conclude()
+        for bits in faults.stuck_bits:
+            bits.conclude()
         faults.gyroscope.conclude()
         return faults
 
@@ -67,11 +72,12 @@ class SensorFaults:
         """Return the usable samples; `repeated` (n,) s are the stamps at which the magnetometer repeated a sample."""
         of_field, of_rate = self._zero_gates
         magnetometer, gyroscope = of_field.take(magnetometer), of_rate.take(gyroscope)
+        for bits, samples in zip(self.stuck_bits, (magnetometer, gyroscope), strict=True):
+            bits.observe(samples.value)
         for gate in self._spike_gates:
             gyroscope = gate.take(gyroscope)
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
-        self.stuck_bits.observe(magnetometer.value)
         self._field.append(magnetometer, gyroscope)
         first, second = self._gates
         passed = first.take(magnetometer), second.take(self._cut_off_gate.take(gyroscope))
@@ -102,8 +108,13 @@ class SensorFaults:
 
     @property
     def stuck_bit(self) -> StuckBit | None:
-        """The bit of the magnetometer that always reads the same, or None."""
-        return self.stuck_bits.finding(*self._shown)
+        """The bit of the magnetometer that always reads the same, or fails, or None."""
+        return self.stuck_bits[0].finding(*self._shown)
+
+    @property
+    def stuck_rate_bit(self) -> StuckBit | None:
+        """The bit of the gyroscope that always reads the same, or None."""
+        return self.stuck_bits[1].finding(1e3, "mrad/s")
 
     def stuck(self, duration: float, now: bool = False) -> tuple[Stuck, ...]:
         """Return the stuck axes in a run of `duration` s, the largest share first; with `now`, those still stuck."""
@@ -134,7 +145,8 @@ class SensorFaults:
             "magnetometer": self._gates[0],
             "gyroscope": self._gates[1],
             "full_scale": self.full_scale,
-            "stuck_bits": self.stuck_bits,
+            "stuck_bits": self.stuck_bits[0],
+            "stuck_rate_bits": self.stuck_bits[1],
             "repeats": self.repeats,
         }
 

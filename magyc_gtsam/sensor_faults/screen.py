@@ -34,7 +34,8 @@ def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
         return False
     rate = recording.gyroscope.value
     seen = _seen(rate)
-    return seen.zeros or seen.stuck or (seen.again and any(map(_levels_off, rate.T))) or has_spikes(rate)
+    cut_off = seen.again and any(map(_levels_off, rate.T))
+    return seen.zeros or seen.stuck or cut_off or has_spikes(rate) or stuck_bit(rate, "angular_rate") is not None
 
 
 class _Seen(NamedTuple):

@@ -1,10 +1,10 @@
-"""Detect a bit of the magnetometer's converter that always reads the same: half of its readings never appear.
+"""Detect a bit of a sensor's converter that always reads the same: half of its readings never appear.
 
 The readings of an axis are whole numbers of its step. If the bit worth B is stuck, they lie in stretches of B that
 follow each other at 2 B, with nothing between. A motion with noise fills a range of readings without holes, whatever
 the offset and the scale that a driver applies. Such readings are off by B for half of the field's values: by 0.6 µT the
-hard iron was off by 6 to 30 sigmas. A bit that is wrong in some of the readings only is found in `failing_bit`. No
-calibration from either is trusted.
+hard iron was off by 6 to 30 sigmas. A bit that is wrong in some of the readings only is found in `failing_bit`, of the
+magnetometer alone: the peaks of a quick turn stand out as its readings do. No calibration from either is trusted.
 """
 
 from __future__ import annotations
@@ -52,13 +52,15 @@ class StuckBit:
 
     Attributes:
         axis: of "xyz".
-        shown: what the bit is worth, as text with its unit (µT or counts).
+        shown: what the bit is worth, as text with its unit (µT, mrad/s or counts).
         always: whether it is stuck.
+        sensor: "magnetic_field" or "angular_rate".
     """
 
     axis: str
     shown: str
     always: bool = True
+    sensor: str = "magnetic_field"
     too_often = True  # however few the samples are
 
     @property
@@ -69,7 +71,8 @@ class StuckBit:
     @property
     def where(self) -> str:
         """The axis and the bit, as text."""
-        return f"magnetic_field: the bit worth {self.shown} of axis {self.axis} of the magnetometer {self.state}"
+        name = "magnetometer" if self.sensor == "magnetic_field" else "gyroscope"
+        return f"{self.sensor}: the bit worth {self.shown} of axis {self.axis} of the {name} {self.state}"
 
     @property
     def sentence(self) -> str:
@@ -79,7 +82,7 @@ class StuckBit:
 
 
 class Bit(NamedTuple):
-    """The place of a bit: the axis, 0 to 2, what the bit is worth, T or counts, and whether it is always stuck."""
+    """The place of a bit: the axis, 0 to 2, what it is worth, T, rad/s or counts, and whether it is always stuck."""
 
     axis: int
     worth: float
@@ -87,22 +90,23 @@ class Bit(NamedTuple):
 
 
 class StuckBits:
-    """Look for bits that are stuck or fail in a magnetometer's samples as they arrive.
+    """Look for bits that are stuck or fail in a sensor's samples as they arrive.
 
     After every `every` samples the last `latest` are examined. What was found remains, because a range of readings
     that does not show it does not exclude it.
 
     Args:
-        every, latest: numbers of samples; a batch passes the number of all its samples.
+        every, latest: numbers of samples; a batch passes one beyond that of all its samples, and concludes itself.
+        sensor: "magnetic_field", or "angular_rate", of which only stuck bits are looked for.
     """
 
-    def __init__(self, every: int = 300, latest: int = 6000) -> None:
-        self._every, self._latest = every, latest
+    def __init__(self, every: int = 300, latest: int = 6000, sensor: str = "magnetic_field") -> None:
+        self._every, self._latest, self._sensor = every, latest, sensor
         self._rows, self._new = np.empty((0, 3)), np.empty((0, 3))
         self._found: Bit | None = None
 
     def observe(self, value: Array) -> None:
-        """Take the next samples (n, 3) T or counts."""
+        """Take the next samples (n, 3) T, rad/s or counts."""
         while len(value):
             now, value = np.split(value, [self._every - len(self._new)])
             self._new = np.vstack([self._new, now])
@@ -110,17 +114,18 @@ class StuckBits:
                 self.conclude()
 
     def conclude(self) -> None:
-        """Examine the samples of a batch that ends before the number given, since some were left out before."""
+        """Examine the samples so far, as at the end of a batch."""
         if not len(self._new):
             return
         self._rows, self._new = np.vstack([self._rows, self._new])[-self._latest :], self._new[:0]
-        self._found = self._found or stuck_bit(self._rows)
+        self._found = self._found or stuck_bit(self._rows, self._sensor)
 
     def finding(self, shown: float = 1e6, unit: str = "µT") -> StuckBit | None:
-        """Return the bit that was found, or None; `shown` scales a field to `unit`."""
+        """Return the bit that was found, or None; `shown` scales a reading to `unit`."""
         if self._found is None:
             return None
-        return StuckBit("xyz"[self._found.axis], f"{self._found.worth * shown:.3g} {unit}", self._found.always)
+        worth = f"{self._found.worth * shown:.3g} {unit}"
+        return StuckBit("xyz"[self._found.axis], worth, self._found.always, self._sensor)
 
     def state(self) -> Mapping[str, Array]:
         """Return the state for `restore`."""
@@ -134,8 +139,8 @@ class StuckBits:
         self._found = None if np.isnan(axis) else Bit(int(axis), worth, bool(always))
 
 
-def stuck_bit(value: Array, rules: BitRules = RULES) -> Bit | None:
-    """Return the first bit of samples (n, 3) T or counts that is stuck or fails; None if none is, or none told."""
+def stuck_bit(value: Array, sensor: str = "magnetic_field", rules: BitRules = RULES) -> Bit | None:
+    """Return the first bit of samples (n, 3) that is stuck, or in a "magnetic_field" fails; None if none is told."""
     if len(value) < 2:
         return None
     for axis, step in enumerate(_steps(np.ascontiguousarray(value[: rules.first].T), rules)):
@@ -145,7 +150,7 @@ def stuck_bit(value: Array, rules: BitRules = RULES) -> Bit | None:
         if steps.max() > rules.steps:
             continue
         always = _bit(steps.astype(np.int64), rules)
-        if worth := always or failing_bit(steps):
+        if worth := always or (failing_bit(steps) if sensor == "magnetic_field" else 0):
             return Bit(axis, worth * step, bool(always))
     return None
 

@@ -28,7 +28,8 @@ class Usable:
         single: single faulty samples: placeholders (zero on all axes) of each sensor, spikes of the gyroscope.
         cut_off: samples that the gyroscope's full scale cut off; None if there are none.
         clipped: samples that the magnetometer's full scale cut off, which remain in the rows; None if there are none.
-        bit: a bit of the magnetometer that always reads the same; its samples remain as well.
+        bit, rate_bit: a bit of the magnetometer and of the gyroscope that always reads the same; its samples remain as
+            well.
     """
 
     recording: Recording
@@ -37,11 +38,12 @@ class Usable:
     cut_off: Clipped | None
     clipped: ClippedField | None
     bit: StuckBit | None
+    rate_bit: StuckBit | None = None
 
     @property
     def refused(self) -> str:
         """Why no calibration from the rows may be trusted; "" if one may."""
-        return "; ".join(fault.sentence for fault in (self.bit, self.clipped) if fault is not None)
+        return "; ".join(fault.sentence for fault in (self.bit, self.rate_bit, self.clipped) if fault is not None)
 
     @property
     def left_out(self) -> list[str]:
@@ -79,7 +81,8 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     if no_rate.any():
         usable = _without_rates(usable, no_rate)
     usable = usable if kept.all() else usable.rows(kept)
-    return Usable(usable, stuck, faults.single_samples, cut_off, faults.clipped_field, faults.stuck_bit)
+    bits = faults.stuck_bit, faults.stuck_rate_bit
+    return Usable(usable, stuck, faults.single_samples, cut_off, faults.clipped_field, *bits)
 
 
 def _without_zero_fields(recording: Recording) -> Recording:
