@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _DAMPED = (1e-2, 1e-1, 1.0, 10.0)  # Levenberg–Marquardt damping that is tried
 _DETERMINED = 1e-13  # of the information, below which a direction has this share: its step would be rounding
 _ROUNDING = 0.5  # error of a cost, relative to the misfit, from second-order terms of the rotations
 _FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear term
+_NEARER = 0.5  # share of the missing cost that one of them leaves at most, if another is to follow
 _ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
 
 
@@ -41,7 +43,7 @@ def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
     """
     covariance = np.zeros((0, 0))
     path: list[tuple[Array, Array]] = []
-    fallen = 0.0
+    fallen, stalled = 0.0, 0
     for done in range(_STEPS_DOWN):
         if done >= _STEPS and fallen < _DOWN:
             break
@@ -58,10 +60,13 @@ def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
         if float(step @ information @ step) < _SETTLED * misfit:
             return twin, covariance, True
         path = [*path[-_REMEMBERED:], (_values_of(twin.model), step)]
-        ahead = _advance(twin, _steps(path, information, gradient), _ROUNDING * misfit)
+        tried = islice(_steps(path, information, gradient), stalled, None)
+        ahead, failed = _advance(twin, tried, _ROUNDING * misfit)
         if ahead is None:
             break
         fallen = 1 - _cost(ahead) / _cost(twin)
+        # Where the model does not explain the data, longer steps than one that hardly helped fail again.
+        stalled = stalled + failed if fallen <= 0 else 0
         twin = ahead
     return twin, covariance, False
 
@@ -73,22 +78,28 @@ def _steps(path: Sequence[tuple[Array, Array]], information: Array, gradient: Ar
         yield -_inverse(information + np.diag(damping * np.diag(information))) @ gradient
 
 
-def _advance(twin: Twin, steps: Iterator[Array], rounding: float) -> Twin | None:
-    """Return the twin after the first step with which the cost does not rise; None if no step helps."""
-    for step in steps:
+def _advance(twin: Twin, steps: Iterable[Array], rounding: float) -> tuple[Twin | None, int]:
+    """Return the twin after the first step that does not raise the cost, None if there is none, and how many failed.
+
+    Rounding and the score bias may make the cost rise a little.
+    """
+    failed = 0
+    for failed, step in enumerate(steps):
         try:
             ahead = Twin.of(twin.problem, _stepped(twin.model, step), twin)
         except MagycError:
             continue  # the step is too long: the chain cannot be factorised
         # The step includes the score bias of the gyroscope's terms (`Twin.rate_score_bias`), which the cost does not.
         allowed = _cost(twin) + abs(float(twin.base_score_bias @ step)) + rounding
+        missing = np.inf
         for _ in range(_FOLLOWING if twin.model.bends else 0):
-            if not allowed < _cost(ahead) < _ASTRAY * allowed:
+            missing, before = _cost(ahead) - allowed, missing
+            if not 0 < missing < min((_ASTRAY - 1) * allowed, _NEARER * before):
                 break
             ahead = _followed(ahead) or ahead
         if np.isfinite(ahead.reduced.cost) and _cost(ahead) <= allowed:
-            return ahead
-    return None
+            return ahead, failed
+    return None, failed + 1
 
 
 def _accelerated(path: Sequence[tuple[Array, Array]], information: Array) -> Array:
@@ -118,10 +129,9 @@ def _followed(ahead: Twin) -> Twin | None:
     A non-linear term and the iron compensate each other almost completely, along a curve: on the straight line between
     two points of it the cost is higher than at both ends.
     """
-    count = int(ahead.model.free.sum())
-    base = ahead.base_columns[:count]
-    step = np.zeros(len(ahead.base_columns))
-    step[:count] = -_inverse(base @ base.T) @ (base @ ahead.residual().ravel())
+    base = ahead.parameter_columns
+    of_terms = np.zeros(sum(len(term.value) for term in ahead.model.estimated))
+    step = np.concatenate([-_inverse(base @ base.T) @ (base @ ahead.residual().ravel()), of_terms])
     try:
         return Twin.of(ahead.problem, _stepped(ahead.model, step), ahead)
     except MagycError:

@@ -153,14 +153,18 @@ class Twin:
     @cached_property
     def base_columns(self) -> Array:
         """Return the whitened regressors (q, 3n) of the free parameters, then of the model's terms."""
+        terms = [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
+        return np.concatenate([self.parameter_columns, *terms])
+
+    @cached_property
+    def parameter_columns(self) -> Array:
+        """Return the whitened regressors (q, 3n) of the free parameters."""
         free = np.flatnonzero(self.model.free)
         window = self.reduced.on_parameters / self.chain.window_scale
         link = np.zeros((PARAMETERS, 3, self.n - 1))
         link[9:12] = -cross(self.state.direction[:, None, :-1], self.chain.windows.lever).swapaxes(0, 1)
         window += self._of_world
-        parts = [self.whiten(Columns(window[free], link[free]))]
-        parts += [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
-        return np.concatenate(parts)
+        return self.whiten(Columns(window[free], link[free]))
 
     @cached_property
     def _of_world(self) -> Array | float:
