@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import colour_of
-from magyc_gtsam.gap.evidence.node import Node
-from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, without
 from magyc_gtsam.gap.evidence.posterior import (
     Set,
     SetWeight,
@@ -23,17 +20,17 @@ from magyc_gtsam.gap.evidence.posterior import (
     weights,
 )
 from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.sample_effects import SampleEffects, change, left_by
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of
-from magyc_gtsam.gap.model.problem import Model, Problem
+from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.root import root
-from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
 
-_ROUNDS = 3  # of removing effects on single samples
-_LINES = 4  # removed in each round, at most
+_ROUNDS = 3  # of taking out effects on single samples
+_SAME = 0.5  # nats by which the innovations of the windows change, below which the sets are not grown again
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +42,14 @@ class Answer:
         tree: of the sets.
         posterior: {(names, True if an unknown effect is present): probability}.
         left_out: the effects on single samples that were taken out of the recording.
+        unsteady: log odds of something unknown with spectral lines that never end.
     """
 
     recording: Recording
     tree: Tree
     posterior: dict[Set, float]
     left_out: tuple[NoiseScore, ...] = ()
+    unsteady: float = -np.inf
 
 
 def answer(
@@ -71,7 +70,6 @@ def answer(
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
     base = first.refit
     recording, problem, level = first.recording, base.twin.problem, short_term
-    left_out: list[NoiseScore] = []
     steps = first.steps[0]
     stepped = steps.significant and steps.name in names
     if stepped:  # certain, and they would be taken for a non-linear reading
@@ -80,64 +78,24 @@ def answer(
         problem = problem_of(recording)
         # Steps wider than the noise hide it in the differences of successive samples.
         level = short_term._replace(magnetometer=max(short_term.magnetometer, white))
-    taken_beside: dict[str, Counter[str]] = {}  # the most probable set beside which an effect was taken out
+    singles = SampleEffects(recording, names, said, float(steps.value[0]) if stepped else None)
     tree: Tree | None = None
     for turn in range(_ROUNDS):
         start = root(problem, _bare(base.model, level))
         tree = Tree(start, allowed, base.model.terms, tree)
-        before, model = recording, tree.best.fit.model
+        before = singles.recording
         if stepped and not turn:  # once more, with a better model
-            recording, _ = first.without_steps(model)
-            problem = problem_of(recording)
-        fine, found = singles_of(recording, model)
-        for name in ("spikes", *("tone",) * _LINES):
-            score, known = found[name], said.get(name, -np.inf)
-            odds = log_odds(score)
-            form = name == "spikes" and score.statistic < PRIOR.form_of_field * tree.best.of_field
-            # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
-            rounded = stepped and name == "spikes" and score.value[0] < steps.value[0]
-            # Effects that are there no longer were some of the wrong samples, which they hid.
-            hidden = name in taken_beside and bool(taken_beside[name] - Counter(tree.best.names))
-            known_too = known > 0 and name != "tone" and not hidden
-            if name not in names or known_too or odds < PRIOR.hardly_single or form or rounded:
-                continue
-            said[name] = max(odds, known)
-            if odds > 0:
-                taken_beside[name] = Counter(tree.best.names)
-                recording, taken = without(recording, model, fine, score)
-                left_out = _with(left_out, taken)
-                problem = problem_of(recording)
-                fine, found = singles_of(recording, model)
-        if recording is before or _same(tree.best, problem):
+            singles.recording, _ = first.without_steps(tree.best.fit.model)
+        singles.take_out(tree.best)
+        if singles.recording is before:
             break
+        best = tree.best
+        if change(best, best.fit.twin.residual(), left_by(best, singles.recording)) < _SAME:
+            break
+        problem = problem_of(singles.recording)
     assert tree is not None
-    return Answer(recording, tree, _posterior(tree, said, COLOUR in names), tuple(left_out))
-
-
-def _with(scores: list[NoiseScore], one: NoiseScore) -> list[NoiseScore]:
-    """Return the scores with one more, wrong samples together with those that were taken out before."""
-    before = next((each for each in scores if each.name == one.name == "spikes"), None)
-    if before is None:
-        return [*scores, one]
-    count = np.array([before.setting["count"], one.setting["count"]])
-    square = count @ np.array([before.value[0], one.value[0]]) ** 2 / count.sum()
-    both = replace(
-        before,
-        statistic=before.statistic + one.statistic,
-        evidence=before.evidence + one.evidence,
-        value=np.array([np.sqrt(square)]),
-        sigma=np.array([np.sqrt(square / (6 * count.sum()))]),
-        setting={key: before.setting[key] + one.setting[key] for key in ("share", "count")},
-        rows=None,
-    )
-    return [both if each is before else each for each in scores]
-
-
-def _same(node: Node, problem: Problem) -> bool:
-    """Return whether a set leaves the same of other readings, to a nat: a tone is averaged away by the windows."""
-    before, after = node.fit.twin.residual(), Twin.of(problem, node.fit.model, node.fit.twin).residual()
-    noise = 1.0 if node.variation is None else node.variation.noise
-    return before.shape == after.shape and float(((after - before) ** 2).sum()) < noise**2
+    posterior = _posterior(tree, said, singles.unsteady, COLOUR in names)
+    return Answer(singles.recording, tree, posterior, tuple(singles.left_out), singles.unsteady)
 
 
 def _bare(model: Model, level: SensorNoise) -> Model:
@@ -147,7 +105,7 @@ def _bare(model: Model, level: SensorNoise) -> Model:
     return Model(parameters, free, level)
 
 
-def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, float]:
+def _posterior(tree: Tree, said: dict[str, float], unsteady: float, coloured: bool) -> dict[Set, float]:
     each = list(weights(tree))
     if coloured and "quantisation" not in said:
         for node in tree.nodes.values():
@@ -169,5 +127,9 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
                 if unknown:
                     models[key, unknown] = float(np.logaddexp(log, log + odds))
         models |= there
+    if np.isfinite(unsteady):
+        for (key, unknown), log in list(models.items()):
+            if not unknown:
+                models[key, True] = float(np.logaddexp(models.get((key, True), -np.inf), log + unsteady))
     models[(), False] += PRIOR.nothing
     return normalised(models)

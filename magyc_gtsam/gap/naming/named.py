@@ -34,6 +34,7 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
 
 _EXPLAIN = {*TERMS, FIELD_VARIATION}  # names that explain a misfit; others describe the noise
+LINES = "spectral-lines"  # that never end, and are no tones
 CLOCK_DRIFT = "clock-drift"  # of the two sensors: not an effect of the catalogue, but detected and reported
 
 
@@ -64,8 +65,8 @@ class Named:
         tree: of the fitted sets.
         fitted: the model with the effects.
         found: the effects; those that are terms in the order of the model's (`term_places`).
-        leftover: names of what else is present: the most probable family without a physical meaning, and drifting
-            clocks.
+        leftover: names of what else is present: the most probable family without a physical meaning, or `LINES` if they
+            are more probable, and drifting clocks.
         probabilities: the posterior's, of all names.
         unsure: {name or `UNKNOWN`: probability} of what may be present beside them, the most probable first; empty if
             nothing is missing, or if it is probable enough that it is outside the catalogue.
@@ -114,7 +115,7 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     told = {*given, *(name for one in found for name in (one.name, *rivals.get(one.name, ())))}
     told |= _held(told)
     of_catalogue, outside = _unnamed(posterior, told)
-    left = _family(said.tree) if of_catalogue + outside > PRIOR.missing_from else ()
+    left = _family(said) if of_catalogue + outside > PRIOR.missing_from else ()
     absent = {n: p for n, p in stated.items() if n in {*_EXPLAIN, UNKNOWN} - told and p > PRIOR.improbable}
     unsure = absent if left and outside <= PRIOR.missing_from and absent.keys() & TERMS.keys() else {}
     if _drift_apart(fitted) or (left and "timing" not in rivals and _drift_apart(_best(said.tree, short_term))):
@@ -250,10 +251,13 @@ def _varying(node: Node, stated: Mapping[str, float]) -> Iterator[Found]:
             yield as_found(NoiseScore(name, 2 * evidence, evidence, True, True, value, sigma, setting), others)
 
 
-def _family(tree: Tree) -> tuple[str, ...]:
-    """Return the most probable family, by which what has no name is described."""
-    families = [one for one in tree.best.found.values() if one.name not in TERMS and product_of(one.name) is None]
-    return tuple(one.name for one in sorted(families, key=lambda one: -one.log)[:1])
+def _family(said: Answer) -> tuple[str, ...]:
+    """Return the most probable family, or spectral lines, by which what has no name is described."""
+    found = said.tree.best.found.values()
+    families = {one.name: one.log for one in found if one.name not in TERMS and product_of(one.name) is None}
+    if np.isfinite(said.unsteady):
+        families[LINES] = said.unsteady
+    return tuple(sorted(families, key=lambda name: -families[name])[:1])
 
 
 def _drift_apart(current: Refit) -> bool:

@@ -9,7 +9,7 @@ from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import label_of, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found
+from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, LINES, Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES, sentences
 from magyc_gtsam.gap.outcome.doubt import APART
 from magyc_gtsam.gap.outcome.unsure import one_of
@@ -86,6 +86,8 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int, given: Collection[st
 
 def place_of(left: Sequence[str], twin: Twin) -> str:
     """Return the variable that what remains depends on, in words."""
+    if LINES in left:
+        return "an effect with many lines in its spectrum is missing"
     for family in families(twin):
         if family.name in left:
             return missing(family.name, family.place)

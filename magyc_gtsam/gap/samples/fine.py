@@ -9,12 +9,12 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.effects import NAMES
-from magyc_gtsam.gap.model.problem import Model, Problem
+from magyc_gtsam.gap.effects import NAMES, TERMS
+from magyc_gtsam.gap.model.problem import Model, Problem, added_by
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.samples.motion_lines import follows_motion
-from magyc_gtsam.gap.samples.noise_effects import NoiseScore, tone
+from magyc_gtsam.gap.samples.motion_lines import follows_channels, follows_motion
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, lines
 from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
@@ -30,6 +30,7 @@ class Fine(NamedTuple):
         rate: Hz.
         time: (m,) s.
         edge: Hz, upper limit of the field's own changes; a spectral line below it may be due to the motion.
+        of_channels: (3, m) T, what effects of logged channels add to the readings.
     """
 
     innovation: Array
@@ -37,6 +38,7 @@ class Fine(NamedTuple):
     rate: float
     time: Array
     edge: float
+    of_channels: Array
 
     @property
     def white(self) -> float:
@@ -59,7 +61,9 @@ def fine_innovations(recording: Recording, model: Model) -> Fine:
     time = twin.time[1:]
     scale = float(np.sqrt((v**2).mean()))
     rate = (len(time) - 1) / float(time[-1] - time[0])
-    return Fine(v / scale, scale * model.noise.magnetometer, rate, time, _edge(twin.windows.need("field"), rate))
+    edge = _edge(twin.windows.need("field"), rate)
+    read = [term for term in model.on("magnetometer") if TERMS[term.name].kind is not None]
+    return Fine(v / scale, scale * model.noise.magnetometer, rate, time, edge, added_by(read, twin.windows)[:, 1:])
 
 
 def fine_twin(recording: Recording, model: Model) -> Twin:
@@ -74,11 +78,16 @@ def _edge(field: Array, rate: float) -> float:
 
 
 def single_scores(recording: Recording, fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
-    """Return the tests of a recording's innovations for wrong samples and for a tone; a line of the motion is none."""
-    spiky, line = (
-        spikes(fine.innovation, fine.level, limit),
-        tone(fine.calm, fine.time, fine.level, limit, fine.edge),
-    )
-    if line.significant and follows_motion(recording, line.setting["frequency"], float(line.value[0])):
-        line = replace(line, significant=False)
-    return spiky, line
+    """Return the tests of a recording's innovations for wrong samples and for a tone.
+
+    A line of the motion is none, nor one of a channel that effects of the model read.
+    """
+    first = None
+    for line in lines(fine.calm, fine.time, fine.level, limit, fine.edge):
+        first, at = first or line, (line.setting["frequency"], float(line.value[0]))
+        if not line.significant:
+            line = replace(first, significant=False)
+            break
+        if not (follows_motion(recording, *at) or follows_channels(fine.time, fine.of_channels, *at)):
+            break
+    return spikes(fine.innovation, fine.level, limit), line

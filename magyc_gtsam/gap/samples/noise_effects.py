@@ -5,7 +5,7 @@ Their evidence is the gain in log-likelihood, nats, less the gain expected by ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +67,12 @@ class NoiseScore:
 
 
 def tone(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
-    """Test for a line in the spectrum of innovations.
+    """Test for a line in the spectrum of innovations; see `lines`."""
+    return next(lines(innovation, time, level, limit, edge))
+
+
+def lines(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> Iterator[NoiseScore]:
+    """Yield the tests for a line in the spectrum of innovations, the strongest first, each in another place.
 
     Below `edge` Hz any missing effect causes lines at the frequencies of the motion; a line there is not named a tone.
     A misfit may be larger in one direction than in the others, whose noise would then hardly count; therefore all
@@ -85,22 +90,30 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
     height = power / np.maximum(floor, 0.3)
     surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
     surprise[: RULES.lowest_bins] = 0.0
-    best = int(np.argmax(surprise))
-    evidence = float(surprise[best] - np.log(len(frequency)))
-    strong = evidence > limit + RULES.unsure_line
     read, _ = _periodogram_of(innovation, time, edge)
-    of_noise = 3 * _beside(read)[best] / _MEDIAN
-    amplitude = 2 * np.sqrt(max(read[best] - of_noise, 0.0) / innovation.shape[1]) * level
-    return NoiseScore(
-        "tone",
-        2 * float(height[best]),
-        evidence,
-        strong,
-        strong and frequency[best] > edge,
-        np.array([amplitude]),
-        np.array([amplitude / np.sqrt(max(2 * height[best], 1e-9))]),
-        {"frequency": float(frequency[best])},
-    )
+    of_noise = 3 * _beside(read) / _MEDIAN
+    while True:
+        best = int(np.argmax(surprise))
+        evidence = float(surprise[best] - np.log(len(frequency)))
+        strong = evidence > limit + RULES.unsure_line
+        amplitude = 2 * np.sqrt(max(read[best] - of_noise[best], 0.0) / innovation.shape[1]) * level
+        yield NoiseScore(
+            "tone",
+            2 * float(height[best]),
+            evidence,
+            strong,
+            strong and frequency[best] > edge,
+            np.array([amplitude]),
+            np.array([amplitude / np.sqrt(max(2 * height[best], 1e-9))]),
+            {"frequency": float(frequency[best])},
+        )
+        surprise[in_place_of(frequency, float(frequency[best]), float(frequency[0]))] = 0.0
+
+
+def in_place_of(frequency: Array, line: float, bin_width: float) -> np.ndarray:
+    """Return (n,) whether frequencies are in the place of a line, among the bins that its test compares, Hz."""
+    result: np.ndarray = np.abs(frequency - line) < (_NEAR + 0.5) * bin_width
+    return result
 
 
 def _isotropic(innovation: Array) -> Array:
