@@ -7,6 +7,9 @@ from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import OnlineCalibrator, simulate
+from magyc_gtsam.online.recent_change import recent_change
+from magyc_gtsam.simulation import HARD_IRON
+from magyc_gtsam.study.faults.signals import record
 
 CHANGED = 240.0  # s
 
@@ -53,3 +56,22 @@ def test_the_sigmas_cover_most_of_a_change_of_the_soft_iron_that_is_not_yet_foun
     assert len(after) > 4
     assert np.median(after, axis=0).max() < 1.5
     assert (after > 3).any(axis=1).mean() < 0.3
+
+
+def test_a_change_does_not_hide_behind_the_correlation_that_it_causes_in_a_short_tail():
+    """With the correlation of the tail its probability was 0.008, and with that of the last refit it is 0.9."""
+    log = record("moderate", 940, duration=260.0)
+    steel = np.eye(3) + 0.03 * np.array([[0.3, -0.9, 0.2], [0.8, -0.4, 0.6], [-0.7, 0.9, 0.5]])
+    later = log.field_time > 250.0
+    field = np.where(later[:, None], (log.field - HARD_IRON) @ steel.T + HARD_IRON, log.field)
+    online = OnlineCalibrator(horizon=120.0)
+    for first in range(0, len(field), 50):
+        rows = slice(first, first + 50)
+        online.update(log.field_time[rows], field[rows], log.rate[rows])
+    engine = online._engine._online
+    fit = engine.fit_tail(int(engine.buffer.numbers[-1]) + 1)
+    assert engine.belief.past is not None
+    assert fit.colour > 2 * engine.last.colour
+    assert recent_change(fit, engine.last.colour).share > 0.5
+    named = {each["name"] for each in online.calibration.diagnostics["model_error"]["components"]}
+    assert "recent change" in named

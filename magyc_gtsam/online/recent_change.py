@@ -69,15 +69,18 @@ _ODDS = {"iron": _BELIEF.odds, "turn": _BELIEF.odds_of_turn, "place": _BELIEF.od
 _REJECTED = 16.27  # χ² of 3 degrees of freedom at 99.9 %, from which a window or link does not fit
 
 
-def recent_change(fit: Fit) -> Component | None:
+def recent_change(fit: Fit, colour: float | None = None) -> Component | None:
     """Return the error that a recent change of the instrument may cause; None if the newest windows exclude it.
 
     Args:
         fit: of all windows, or of the last ones given those before, at its minimum.
+        colour: correlation factor of the residuals; None for that of the fit. In a short tail a change itself makes
+            the residuals correlated, which would hide it.
     """
+    colour = fit.colour if colour is None else colour
     chain = continued(fit)
     strength = float(np.cbrt(abs(np.linalg.det(unvech(fit.state.parameters[:6])))))
-    changes = _possible(fit, chain, strength)
+    changes = _possible(fit, chain, strength, colour)
     of_place = np.array([change.what == "place" for change in changes], dtype=bool)
     if of_place.all():
         return None
@@ -102,14 +105,14 @@ def _described(change: _Change, strength: float) -> tuple[float, str]:
     return float(np.linalg.norm(change.away[_IRON])), f"soft or hard iron may have changed {within}"
 
 
-def _possible(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Change]:
+def _possible(fit: Fit, chain: ContinuedChain, strength: float, colour: float) -> list[_Change]:
     """Return the changes that the newest windows do not exclude, each fitted."""
-    scores = _scores(fit, chain, strength)
+    scores = _scores(fit, chain, strength, colour)
     least = max(_BELIEF.possible, _BELIEF.share * max((score.gain for score in scores), default=0.0))
     count = len(chain.windows)
     tried = [("iron", count - score.windows, score.sigma / strength) for score in scores if score.gain >= least]
     tried += [("turn", first, _BELIEF.turn) for first in _broken(fit, chain)]
-    return [change for what, first, share in tried for change in _changes(fit, chain, what, first, share)]
+    return [each for what, first, share in tried for each in _changes(fit, chain, what, first, share, colour)]
 
 
 def _broken(fit: Fit, chain: ContinuedChain) -> set[int]:
@@ -140,7 +143,7 @@ class _Score(NamedTuple):
     sigma: float
 
 
-def _scores(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Score]:
+def _scores(fit: Fit, chain: ContinuedChain, strength: float, colour: float) -> list[_Score]:
     """Return the scores of a change before several of the newest windows, which count alike."""
     count = len(chain.windows)
     numbers = [k for k in _BELIEF.windows if k <= count - _FEWEST]
@@ -164,7 +167,7 @@ def _scores(fit: Fit, chain: ContinuedChain, strength: float) -> list[_Score]:
         flat = columns[own].reshape(9, -1)
         information = flat @ flat.T - absorbed[own] @ absorbed[own].T - explained[own] @ cross[own].T
         most = (_BELIEF.most * strength) ** 2
-        found = likeliest(information / fit.colour, gradient[own] / fit.colour, _KNOWN, _KNOWN, most)
+        found = likeliest(information / colour, gradient[own] / colour, _KNOWN, _KNOWN, most)
         result.append(_Score(k, found.gain, max(float(np.sqrt(found.variance)), _BELIEF.least * strength)))
     return result
 
@@ -195,7 +198,7 @@ class _Change(NamedTuple):
     second: Array
 
 
-def _changes(fit: Fit, chain: ContinuedChain, what: str, first: int, share: float) -> list[_Change]:
+def _changes(fit: Fit, chain: ContinuedChain, what: str, first: int, share: float, colour: float) -> list[_Change]:
     """Return a change of the instrument before window `first`, and one of the field of the place of the same size.
 
     The latter is left out where the former is unlikely anyway, and each if the windows determine no fit.
@@ -205,6 +208,7 @@ def _changes(fit: Fit, chain: ContinuedChain, what: str, first: int, share: floa
         what: "iron" or "turn".
         first: window.
         share: standard deviation of an element, as a share of the field strength, or in rad.
+        colour: correlation factor of the residuals.
     """
     past = chain.marginalise(fit.state, fit.weights, first - 1)
     if len(fit.state.parameters) == PARAMETERS:
@@ -218,18 +222,18 @@ def _changes(fit: Fit, chain: ContinuedChain, what: str, first: int, share: floa
         instrument[_IRON, :9] = float(np.cbrt(abs(np.linalg.det(unvech(soft_iron))))) * np.eye(9)
         # What is not symmetric of a soft iron turns the field.
         instrument[SKEW, 9:] = np.sqrt(0.5) * np.eye(3)
-    changed = _change(fit, chain, past, first, share * instrument, what)
+    changed = _change(fit, chain, past, first, share * instrument, what, colour)
     if changed is None or changed.evidence + np.log(_ODDS[what]) < _BELIEF.unlikely:
         return []
     place = np.zeros((size, 3))
     place[:6, 0] = soft_iron  # the strength of the field
     place[WITH_SKEW:, 1:] = np.eye(2)  # its direction
-    rival = _change(fit, chain, past, first, share * place, "place")
+    rival = _change(fit, chain, past, first, share * place, "place", colour)
     return [changed] if rival is None else [changed, rival]
 
 
 def _change(
-    fit: Fit, chain: ContinuedChain, past: Marginal, first: int, columns: Array, what: str
+    fit: Fit, chain: ContinuedChain, past: Marginal, first: int, columns: Array, what: str, colour: float
 ) -> _Change | None:
     """Return the change before window `first` by `columns` (18, k) of standard deviation one each."""
     last = first - 1
@@ -256,8 +260,8 @@ def _change(
     volume = _log_volume(changed) - _log_volume(fit) - float(np.linalg.slogdet(inside)[1])
     volume -= 2 * (len(before_it) - len(fit.state.parameters)) * float(np.log(_ALIGNED))
     away = changed.state.parameters - before_it
-    second = fit.colour * changed.covariance + np.outer(away, away)
-    evidence = 0.5 * ((before - after - by_past) / fit.colour + volume)
+    second = colour * changed.covariance + np.outer(away, away)
+    evidence = 0.5 * ((before - after - by_past) / colour + volume)
     return _Change(what, float(windows.time[-1] - windows.time[0]), evidence, away, second)
 
 

@@ -200,7 +200,7 @@ class OnlineSmoother:
             return with_drift(calibration, drift)
         stop = int(online.buffer.numbers[-1]) + 1
         fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
-        change = self._recent_change(fit)
+        change = self._recent_change(fit, online.last.colour)
         calibration = report_of(online, ending, fit, belief.tail, online.last, change, belief.contradictions)
         return with_doubt(with_drift(calibration, belief.drift), fit)
 
@@ -220,10 +220,10 @@ class OnlineSmoother:
             return belief.report
         return with_drift(report_of(online, recording, fit, doubts=doubts), belief.drift)
 
-    def _recent_change(self, fit: Fit) -> Component | None:
+    def _recent_change(self, fit: Fit, colour: float | None = None) -> Component | None:
         """Return the error by a recent change of the iron; None if it is not looked for, or walks at random."""
         settings = self._online.settings
-        return recent_change(fit) if settings.detect_changes and not settings.walks else None
+        return recent_change(fit, colour) if settings.detect_changes and not settings.walks else None
 
     def converged(self) -> bool:
         """See `Engine.converged`: the last refit had enough windows and changed the estimate little."""
