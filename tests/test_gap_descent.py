@@ -10,6 +10,7 @@ import pytest
 
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model import descent
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.problem import Active
@@ -58,3 +59,15 @@ def test_the_parameters_follow_a_bent_term_only_while_that_helps(monkeypatch: py
     monkeypatch.setattr(descent, "_followed", follow)
     assert descent._advance(twin, [step], 0.5) == (None, 1)
     assert len(followed) == 1
+
+
+def test_a_step_that_leads_out_of_range_is_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is too long, and a damped one is tried; it ended `find_gap` with an error about a term."""
+    recording = record("moderate", 0).recording("log")
+    base = base_model(recording, None, short_term_noise(recording))
+
+    def out_of_range(twin: Twin) -> Array:
+        raise MagycError("the innovations of the model have no finite covariance: a term is out of range")
+
+    monkeypatch.setattr(Twin, "parameter_columns", property(out_of_range))
+    assert descent._followed(base.twin) is None

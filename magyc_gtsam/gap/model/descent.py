@@ -129,10 +129,10 @@ def _followed(ahead: Twin) -> Twin | None:
     A non-linear term and the iron compensate each other almost completely, along a curve: on the straight line between
     two points of it the cost is higher than at both ends.
     """
-    base = ahead.parameter_columns
     of_terms = np.zeros(sum(len(term.value) for term in ahead.model.estimated))
-    step = np.concatenate([-_inverse(base @ base.T) @ (base @ ahead.residual().ravel()), of_terms])
     try:
+        base = ahead.parameter_columns
+        step = np.concatenate([-_inverse(base @ base.T) @ (base @ ahead.residual().ravel()), of_terms])
         return Twin.of(ahead.problem, _stepped(ahead.model, step), ahead)
     except MagycError:
         return None
