@@ -77,6 +77,34 @@ def test_a_set_without_a_fit_is_not_fitted_with_other_numbers_of_modes(monkeypat
     assert (DRIFT, "timing") in tree.refused
 
 
+def test_an_effect_is_not_exchanged_where_the_set_without_it_has_no_minimum(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As beside strong vibration, which ended with an error."""
+    tree = Tree(base_of(drifting()), (DRIFT, "timing"))
+    best = tree.best
+    assert best.key == (DRIFT, "timing")
+
+    def failing(*given: object) -> Refit:
+        raise mg.MagycError("no minimum")
+
+    monkeypatch.setattr(trees, "refit", failing)
+    monkeypatch.setattr(Node, "replaceable", lambda self, index: True)
+    tree.nodes = {best.key: best}
+    assert not tree._exchanged()
+    assert tree.nodes == {best.key: best}
+
+
+def test_an_outline_gives_the_same_tree_again() -> None:
+    """Of the same readings, from the sets that were probable; without the columns of the tree before."""
+    base, names = base_of(drifting()), (DRIFT, "timing", "hard-iron-step")
+    first = Tree(base, names)
+    again = Tree(base, names, (), first.outline)
+    assert again.best.key == first.best.key
+    assert again.best.log == pytest.approx(first.best.log, abs=0.1)
+    assert again.refused >= first.outline.refused
+
+
 def test_candidates_that_the_linear_model_does_not_order_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside one that was added, within the nats by which the linear model may be wrong."""
     names = (DRIFT, "hard-iron-step", "timing", "soft-iron-step", "local-anomaly")

@@ -193,3 +193,17 @@ def test_a_strong_step_stays_beside_weak_ones() -> None:
 def test_a_value_per_a_small_unit_keeps_its_digits() -> None:
     assert measured(-2.8e-6, 4.6e-7) == "-2.8e-06 ± 4.6e-07"
     assert measured(0.0511, 0.005) == "0.051 ± 0.005"
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_large_scale_of_the_gyroscope_is_estimated(seed: int) -> None:
+    """Of 15 %, as of a wrong range: more than data sheets allow, and than a prior for them would let it reach."""
+    simulation = mg.simulate("multi", 150, seed=seed, effects=[("gyro-scale", 7.5)])
+    gap = mg.find_gap(simulation.recording, candidates=["gyro-scale", "gyro-quadratic", "misalignment", "timing"])
+    (scale,) = gap.effects
+    assert scale.name == "gyro-scale"
+    matrix = simulation.effects[0].drawn["matrix"]
+    true = np.concatenate([np.diag(matrix), matrix[[0, 0, 1], [1, 2, 2]]])
+    assert np.abs(scale.value[:2] / 1e3 - true[:2]).max() < 0.03
+    np.testing.assert_allclose(scale.value[2:] / 1e3, true[2:], atol=0.015)
+    assert gap.verdict == "closed"

@@ -46,6 +46,7 @@ class EffectTerm:
         motion: the motion that would distinguish it from its rivals, in words for the helmsman.
         parameters: name of each value; repeated for several rows of a channel.
         prior: prior standard deviation of the value, in the unit of `matters`; 1 of most is larger than any value.
+        largest: largest possible value, in the unit of `matters`; None for `RULES.farthest` prior deviations.
         ordinary: size, SI, up to which every instrument has it; 0 if not every one has.
         settings: function that returns the grid of settings to search.
         refined: function that returns settings near a found one, finer than the grid; empty if there is no grid.
@@ -69,6 +70,7 @@ class EffectTerm:
     motion: str
     parameters: tuple[str, ...] = AXES
     prior: float = 1.0
+    largest: float | None = None
     ordinary: float = 0.0
     settings: Settings = plain
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
@@ -83,6 +85,11 @@ class EffectTerm:
     def scale(self) -> float:
         """Return the shown value per SI value."""
         return {"%": 1e2, "‰": 1e3, "m": 1e3, "µ": 1e6}.get(self.unit[0], 1.0)
+
+    @property
+    def limit(self) -> float:
+        """Return the largest possible value, in the unit of `matters`."""
+        return RULES.farthest * self.prior if self.largest is None else self.largest
 
     @property
     def form(self) -> Form:

@@ -11,6 +11,7 @@ from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import colour_of
+from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.posterior import (
     Set,
     SetWeight,
@@ -79,23 +80,24 @@ def answer(
         # Steps wider than the noise hide it in the differences of successive samples.
         level = short_term._replace(magnetometer=max(short_term.magnetometer, white))
     singles = SampleEffects(recording, names, said, float(steps.value[0]) if stepped else None)
-    tree: Tree | None = None
-    for turn in range(_ROUNDS):
-        start = root(problem, _bare(base.model, level))
-        tree = Tree(start, allowed, base.model.terms, tree)
+    outline, turn = None, 0
+    while True:
+        tree = Tree(root(problem, _bare(base.model, level)), allowed, base.model.terms, outline)
         before = singles.recording
-        if stepped and not turn:  # once more, with a better model
+        turn += 1
+        if stepped and turn == 1:  # once more, with a better model
             singles.recording, _ = first.without_steps(tree.best.fit.model)
         singles.take_out(tree.best)
-        if singles.recording is before:
-            break
-        best = tree.best
-        if change(best, best.fit.twin.residual(), left_by(best, singles.recording)) < _SAME:
-            break
-        problem = problem_of(singles.recording)
-    assert tree is not None
-    posterior = _posterior(tree, said, singles.unsteady, COLOUR in names)
-    return Answer(singles.recording, tree, posterior, tuple(singles.left_out), singles.unsteady)
+        if turn == _ROUNDS or singles.recording is before or _same(tree.best, singles.recording):
+            posterior = _posterior(tree, said, singles.unsteady, COLOUR in names)
+            return Answer(singles.recording, tree, posterior, tuple(singles.left_out), singles.unsteady)
+        problem, outline = problem_of(singles.recording), tree.outline
+        del tree  # as large as the next one
+
+
+def _same(node: Node, recording: Recording) -> bool:
+    """Return whether a set leaves about the same of other readings."""
+    return change(node, node.fit.twin.residual(), left_by(node, recording)) < _SAME
 
 
 def _bare(model: Model, level: SensorNoise) -> Model:

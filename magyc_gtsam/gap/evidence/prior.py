@@ -84,7 +84,7 @@ class Prior:
             cause must explain as much itself: clean recordings reach 6 nats by chance.
         whole: probability that a family is present as a whole, not in one of its parts.
         not_quite: log odds that an effect visibly deviates from its form, by less than `form`.
-        beyond: upper limit of an effect's values, in prior standard deviations.
+        beyond: largest scale of an effect's values, relative to its largest possible value.
         misfit: standard deviations of white noise's mean square from which a varying field is tested.
         least_power: smallest power, in squared sigmas, assumed for the direction of a function of time along one axis.
         one_of_families: log number of families, one of which is colour along one direction.
@@ -124,7 +124,7 @@ class Prior:
     world_ahead: float = 12.0
     whole: float = 0.5
     not_quite: float = float(np.log(0.5))
-    beyond: float = 2.0
+    beyond: float = 0.5
     misfit: float = 3.0
     least_power: float = 4.0
     one_of_families: float = float(np.log(20))

@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR, with_each_drift
 from magyc_gtsam.gap.evidence.joint_fits import VARIES, JointFits
@@ -26,11 +28,25 @@ from magyc_gtsam.gap.rules import RULES
 _MORE_MODES = float(np.log(RULES.drift_finer))
 
 
+class Outline(NamedTuple):
+    """What the tree of nearly the same readings takes over of a tree, without its columns.
+
+    Attributes:
+        near: names, model and nats of the grid searches of the probable sets.
+        refused: sets without a possible fit.
+        unrivalled: terms, name and setting, that are not exchanged again.
+    """
+
+    near: tuple[tuple[tuple[str, ...], Model, float], ...]
+    refused: frozenset[tuple[str, ...]]
+    unrivalled: frozenset[tuple[object, ...]]
+
+
 class Tree:
     """The fitted sets of effects of one recording."""
 
     def __init__(
-        self, root: Refit, names: Sequence[str], given: Sequence[Active] = (), before: Tree | None = None
+        self, root: Refit, names: Sequence[str], given: Sequence[Active] = (), before: Outline | None = None
     ) -> None:
         """Grow the tree from a model without effects.
 
@@ -38,8 +54,8 @@ class Tree:
             root: the fit of that model.
             names: candidates.
             given: terms of a calibration, fitted in any case.
-            before: tree of nearly the same readings: from its probable sets this one is grown, those that had no fit
-                are refused.
+            before: outline of the tree of nearly the same readings: from its probable sets this one is grown, those
+                that had no fit are refused.
         """
         self.fits = JointFits.of(root, names)
         self.nodes: dict[tuple[str, ...], Node] = {}
@@ -47,7 +63,7 @@ class Tree:
         self.refused: set[tuple[str, ...]] = set() if before is None else set(before.refused)
         again = () if before is None else self._again(root, before.near)
         # Terms, name and setting, that are not exchanged again, and the sets without one that are not fitted therefore.
-        self._unrivalled: set[tuple[object, ...]] = set() if before is None else set(before._unrivalled)
+        self._unrivalled: set[tuple[object, ...]] = set() if before is None else set(before.unrivalled)
         self._spared: set[tuple[str, ...]] = set()
         first = [self.fits.node((), root, 0.0), *self._given(root, given), *again]
         self.nodes |= {node.key: node for node in first}
@@ -70,14 +86,16 @@ class Tree:
         return len(self.nodes.keys() | self._spared) >= PRIOR.most
 
     @property
-    def near(self) -> list[Node]:
-        """Return the sets of effects that are probable, alone or with a candidate more."""
-        return [
+    def outline(self) -> Outline:
+        """Return what is taken over: the sets of effects that are probable, alone or with a candidate more."""
+        least = self.best.log - PRIOR.close
+        likely = [
             node
             for node in self.nodes.values()
-            if node.names
-            and node.log + max([0.0, *(each.log for each in node.found.values())]) > self.best.log - PRIOR.close
+            if node.names and node.log + max([0.0, *(each.log for each in node.found.values())]) > least
         ]
+        near = tuple((node.names, node.fit.model, node.search) for node in likely)
+        return Outline(near, frozenset(self.refused), frozenset(self._unrivalled))
 
     def _given(self, root: Refit, given: Sequence[Active]) -> Iterator[Node]:
         model = root.model
@@ -86,14 +104,14 @@ class Tree:
         if given:
             yield self.fits.node(tuple(term.name for term in given), refit(self.fits.problem, model, None), 0.0)
 
-    def _again(self, root: Refit, before: Sequence[Node]) -> Iterator[Node]:
+    def _again(self, root: Refit, before: Sequence[tuple[tuple[str, ...], Model, float]]) -> Iterator[Node]:
         """Fit sets of nearly the same readings."""
-        for old in before:
-            fit = self.fits.fit(replace(old.fit.model, noise=root.model.noise), None)
+        for names, model, search in before:
+            fit = self.fits.fit(replace(model, noise=root.model.noise), None)
             if fit is None:
-                self.refused.add(old.key)
+                self.refused.add(tuple(sorted(names)))
             else:
-                yield self.fits.node(old.names, fit, old.search)
+                yield self.fits.node(names, fit, search)
 
     def _grow(self, frontier: list[Node]) -> None:
         while frontier and len(self.nodes) < PRIOR.nodes:
@@ -122,6 +140,8 @@ class Tree:
                 self._spared.add(best.key_without(term.name))
                 continue
             node = self.less(best, index)
+            if node is None:
+                continue
             gap = best.log - node.log
             for option in islice(self._options(node, term.name), PRIOR.beam):
                 if option.log + PRIOR.named < 0.5 * gap:
@@ -172,14 +192,17 @@ class Tree:
                 self.nodes[key] = child
         return self.nodes.get(key)
 
-    def less(self, node: Node, index: int) -> Node:
-        """Return a set without the term `index` of its model, fitted if necessary."""
+    def less(self, node: Node, index: int) -> Node | None:
+        """Return a set without the term `index` of its model, fitted if necessary; None if it has no minimum."""
         name = node.fit.model.terms[index].name
         known = self.nodes.get(node.key_without(name))
         rest = [term.setting for i, term in enumerate(node.fit.model.terms) if i != index]
         if known is not None and all(term.setting in rest for term in known.fit.model.terms):
             return known
-        fit = refit(self.fits.problem, without_term(node.fit.model, index), None)
+        try:
+            fit = refit(self.fits.problem, without_term(node.fit.model, index), None)
+        except MagycError:
+            return None
         names = node.names_without(name)
         less = self.fits.node(names, fit, node.search)
         if known is None or known.log < less.log:  # otherwise the same names with other settings are more probable
@@ -221,7 +244,8 @@ class Tree:
         if option.name not in node.refined:
             setting = dict(finer(option, node.fit.twin, node.beside, node.named).setting)
         count = len(node.fit.twin.columns(option.name, setting).window)
-        model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
+        term = Active(option.name, setting, np.zeros(count), option.prior)
+        model = with_term(node.fit.model, term)
         names, search = (*node.names, option.name), node.search + option.search
 
         def fitted(model: Model) -> Node | None:

@@ -71,6 +71,13 @@ class Weighed:
         """Return twice the gain in log-likelihood at that setting."""
         return float(-self.estimate[0] @ self.score)
 
+    @property
+    def prior(self) -> float | None:
+        """Return the prior deviation of its values, SI, that the data ask for beyond the catalogue's; else None."""
+        term = TERMS[self.name]
+        likely = float(PRIOR.scales[np.argmax(self.by_scale)] * term.matters)
+        return likely if likely > term.prior else None
+
     def less(self, search: float) -> Weighed:
         """Subtract the nats of a search that determined its columns."""
         return replace(self, log=self.log - search, by_scale=self.by_scale - search, tied=self.tied - search)
@@ -206,7 +213,7 @@ def scales_of(name: str) -> np.ndarray:
     """Return (S,) whether an effect may have a scale, by its data sheets; a family may have any."""
     if name not in TERMS:
         return np.ones(len(PRIOR.scales), dtype=bool)
-    return PRIOR.scales <= max(PRIOR.beyond * TERMS[name].prior / TERMS[name].matters, PRIOR.scales[0])
+    return PRIOR.scales <= max(PRIOR.beyond * TERMS[name].limit / TERMS[name].matters, PRIOR.scales[0])
 
 
 def _averaged(name: str, many: list[_Part]) -> Weighed:

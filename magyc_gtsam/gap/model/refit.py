@@ -66,7 +66,8 @@ def determined(result: Refit, index: int) -> bool:
     """Return whether the data, not the prior, determine all values of the model's term `index`."""
     _, covariance = _standardised(result, index)
     largest = float(np.linalg.eigvalsh(covariance)[-1])
-    return largest < (RULES.determined_by_data * TERMS[result.model.terms[index].name].prior) ** 2
+    term = result.model.terms[index]
+    return largest < (RULES.determined_by_data * (term.prior or TERMS[term.name].prior)) ** 2
 
 
 def possible(result: Refit, index: int) -> bool:
@@ -75,7 +76,7 @@ def possible(result: Refit, index: int) -> bool:
     term = result.model.terms[index]
     effect = TERMS[term.name]
     size = float(np.abs(_standardised(result, index)[0]).max())
-    return size < RULES.farthest * effect.prior and effect.possible(result.twin, value, term.setting)
+    return size < effect.limit and effect.possible(result.twin, value, term.setting)
 
 
 def widened(result: Refit) -> Refit:
@@ -153,7 +154,7 @@ def tempered(problem: Problem, result: Refit, short_term: SensorNoise) -> Refit:
     for index, term in enumerate(terms):
         if len(term.value) > RULES.one_vector:
             value, covariance = _standardised(result, index)
-            terms[index] = replace(term, prior=spread(value, covariance, TERMS[term.name].prior))
+            terms[index] = replace(term, prior=spread(value, covariance, term.prior or TERMS[term.name].prior))
     if terms == list(result.model.terms):
         return result
     return refit(problem, replace(result.model, terms=tuple(terms)), short_term)
