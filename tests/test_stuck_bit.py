@@ -173,6 +173,16 @@ def test_a_stuck_bit_of_the_gyroscope_is_refused_in_batch_and_online(motion: str
         assert not (worth and online.converged)
 
 
+def test_a_gap_with_a_stuck_bit_of_the_gyroscope_is_open() -> None:
+    bad = with_stuck_rate_bit(mg.simulate("wide", 300, seed=6).recording, 16)
+    gap = mg.find_gap(bad, candidates=["timing"])
+    assert gap.verdict == "open"
+    assert gap.sentence.startswith("angular_rate: the bit worth 19.2 mrad/s of axis z of the gyroscope is stuck")
+    assert gap.doubt is not None
+    assert gap.doubt.cause == "a bit of axis z of the gyroscope is stuck"
+    assert not gap.calibration.trusted
+
+
 def test_quick_turns_in_steps_are_no_fault_of_the_gyroscope() -> None:
     """Their peaks stand out upwards at high rates and downwards at low ones, as the readings of a failing bit do."""
     time = np.arange(6000) / 20

@@ -144,7 +144,9 @@ def _gap_and_named(
         gap = gap_of(searched, short_term, calibration, names, ready.discrete)
     else:
         gap = nothing_tested(base, *searched, calibration)
-    gap = with_stuck_bit(with_clipped(gap, ready.usable.clipped), ready.usable.bit)
+    gap = with_clipped(gap, ready.usable.clipped)
+    for bit in ready.usable.bits:
+        gap = with_stuck_bit(gap, bit)
     left_out = [*ready.usable.left_out, *ready.left_out]
     run = {"seconds": clock.perf_counter() - started, "left_out": left_out}
     return replace(gap, diagnostics={**gap.diagnostics, **run}), result

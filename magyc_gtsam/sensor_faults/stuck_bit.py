@@ -71,8 +71,12 @@ class StuckBit:
     @property
     def where(self) -> str:
         """The axis and the bit, as text."""
-        name = "magnetometer" if self.sensor == "magnetic_field" else "gyroscope"
-        return f"{self.sensor}: the bit worth {self.shown} of axis {self.axis} of the {name} {self.state}"
+        return f"{self.sensor}: the bit worth {self.shown} of {self.place} {self.state}"
+
+    @property
+    def place(self) -> str:
+        """The axis of the sensor, as text."""
+        return f"axis {self.axis} of the {'magnetometer' if self.sensor == 'magnetic_field' else 'gyroscope'}"
 
     @property
     def sentence(self) -> str:

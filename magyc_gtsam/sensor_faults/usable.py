@@ -28,8 +28,7 @@ class Usable:
         single: single faulty samples: placeholders (zero on all axes) of each sensor, spikes of the gyroscope.
         cut_off: samples that the gyroscope's full scale cut off; None if there are none.
         clipped: samples that the magnetometer's full scale cut off, which remain in the rows; None if there are none.
-        bit, rate_bit: a bit of the magnetometer and of the gyroscope that always reads the same; its samples remain as
-            well.
+        bits: bits of either sensor that are stuck or fail; their samples remain as well.
     """
 
     recording: Recording
@@ -37,13 +36,12 @@ class Usable:
     single: tuple[FaultySamples, ...]
     cut_off: Clipped | None
     clipped: ClippedField | None
-    bit: StuckBit | None
-    rate_bit: StuckBit | None = None
+    bits: tuple[StuckBit, ...] = ()
 
     @property
     def refused(self) -> str:
         """Why no calibration from the rows may be trusted; "" if one may."""
-        return "; ".join(fault.sentence for fault in (self.bit, self.rate_bit, self.clipped) if fault is not None)
+        return "; ".join(fault.sentence for fault in (*self.bits, self.clipped) if fault is not None)
 
     @property
     def left_out(self) -> list[str]:
@@ -60,7 +58,7 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
         MagycError: an axis was stuck for more than half of the recording, or too many turns were cut off.
     """
     if not may_be_faulty(recording, sensors):
-        return Usable(recording, (), (), None, None, None)
+        return Usable(recording, (), (), None, None)
     faults, time = SensorFaults.of(recording, sensors), recording.time
     hole = inside(faults.cut_off.spans, time)
     cut_off = faults.cut_off.finding(float(hole.mean()))
@@ -81,8 +79,8 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     if no_rate.any():
         usable = _without_rates(usable, no_rate)
     usable = usable if kept.all() else usable.rows(kept)
-    bits = faults.stuck_bit, faults.stuck_rate_bit
-    return Usable(usable, stuck, faults.single_samples, cut_off, faults.clipped_field, *bits)
+    bits = tuple(bit for bit in (faults.stuck_bit, faults.stuck_rate_bit) if bit is not None)
+    return Usable(usable, stuck, faults.single_samples, cut_off, faults.clipped_field, bits)
 
 
 def _without_zero_fields(recording: Recording) -> Recording:

@@ -116,8 +116,8 @@ class OneLog:
         reasons = ready.untestable()
         if reasons is not None:
             raise MagycError(reasons[0])
-        if ready.usable.bit is not None:
-            raise MagycError(ready.usable.bit.sentence)
+        if ready.usable.bits:
+            raise MagycError(ready.usable.bits[0].sentence)
         data, base, short_term = ready.recording, ready.base, ready.short_term
         problem, discrete, first = base.twin.problem, ready.discrete, First(data, base)
         if first.steps[0].significant and first.steps[0].name in names:

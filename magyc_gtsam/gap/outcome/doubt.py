@@ -73,13 +73,9 @@ def doubt_of_clipped(clipped: ClippedField, why: str) -> Doubt:
     return Doubt(f"{axes} of the magnetometer cut off, {why}", action)
 
 
-def with_stuck_bit(gap: Gap, bit: StuckBit | None) -> Gap:
-    """Return the gap, open if a bit of the magnetometer is stuck or fails, of which the catalogue has no effect."""
-    if bit is None:
-        return gap
-    doubt = Doubt(
-        f"a bit of axis {bit.axis} of the magnetometer {bit.state}", "replace the sensor, or mend its driver"
-    )
+def with_stuck_bit(gap: Gap, bit: StuckBit) -> Gap:
+    """Return the gap, open because a bit of a sensor is stuck or fails, of which the catalogue has no effect."""
+    doubt = Doubt(f"a bit of {bit.place} {bit.state}", "replace the sensor, or mend its driver")
     verdict = gap.verdict if gap.verdict == "not enough information" else "open"
     sentence = f"{bit.sentence}; {gap.sentence}"
     return with_doubt(replace(gap, verdict=verdict, sentence=sentence, base=doubted(gap.base, doubt)), doubt)
