@@ -102,13 +102,19 @@ class Node:
     def _of_field(self, among: Sequence[int], powers: Mapping[tuple[int, int], float]) -> set[int]:
         """Return the terms that may be a deviation of the field variation from its form.
 
-        The field can explain most of what an effect does, but in place of the field the effect explains a good part.
+        The field can explain most of what an effect does, but in place of the field the effect explains a good part. So
+        does an object in the surroundings that is a part of the field.
         """
         if self.variation is None:
             return set()
-        alone, noise, field = self._without_field.powers(among), self.variation.noise, self.of_field
-        beside_it = {i for i in among if powers[i, i] <= PRIOR.beside_field * field}
-        return beside_it | {i for i in among if alone[i, i] <= PRIOR.in_place_of_field * noise**2 * field}
+        terms, alone, noise = self.fit.model.terms, self._without_field.powers(among), self.variation.noise
+        result = set()
+        for i in among:
+            least = PRIOR.form_of_field if TERMS[terms[i].name].of_place else PRIOR.beside_field
+            in_place = alone[i, i] / noise**2
+            if powers[i, i] <= least * self.of_field or in_place <= PRIOR.in_place_of_field * self.of_field:
+                result.add(i)
+        return result
 
     @cached_property
     def _without_field(self) -> Explained:

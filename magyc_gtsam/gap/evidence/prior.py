@@ -58,7 +58,8 @@ class Prior:
             field and in its place. Functions of time and attitude can explain most of what an effect does, and then
             little remains for the effect beside them; in their place it explains as much as a third of what varies. Of
             the names in the best sets of 350 real logs with an effect put in (editions 390 to 392), 6 of 251 that are
-            there have less, and 61 of 84 that are not; 20 and 68 have less than a tenth beside the field.
+            there have less, and 61 of 84 that are not; 20 and 68 have less than a tenth beside the field. An
+            object in the surroundings is a part of the field: it needs `form_of_field` beside it.
         form_of_colour: the same of all names for correlated noise beside a varying field, three tenths in amplitude: it
             has a hundred columns and more and explains all of a deviation, where any family explains a part. In 18 real
             logs with such noise put in it has 0.095 to 5 of the power that it could explain of the names' signal; of
