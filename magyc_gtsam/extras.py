@@ -18,6 +18,4 @@ def needs(what: str, package: str, extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError:
-        raise MagycError(
-            f"{what}: needs {package}, which is not installed; pip install 'magyc-gtsam[{extra}]'"
-        ) from None
+        raise MagycError(f"{what}: needs {package}: pip install 'magyc-gtsam[{extra}]'") from None
