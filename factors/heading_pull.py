@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array, attitude, choose
+from magyc_gtsam.factors.variables import Array, attitude, choose, stored_type
 
 _SEEN = 0.02  # share of the prior's variance that the other factors must take away before they can contradict it
 _UNLIKELY = 1e-9  # probability of the prior's innovation below which they do
@@ -65,7 +65,7 @@ def _prior(point: gtsam.Values, key: int, turned: gtsam.Rot3, sigma: float) -> g
     axis = turned.matrix()[2]  # the world's vertical in the body frame
     tight, loose = 1 / sigma**2, 1.0
     noise = gtsam.noiseModel.Gaussian.Information(loose * np.eye(3) + (tight - loose) * np.outer(axis, axis))
-    kind = _kind(point, key)
+    kind = stored_type(attitude, point, key)
     if kind == "Pose3":
         return gtsam.PoseRotationPrior3D(key, turned, noise)
     if kind == "Rot3":
@@ -103,7 +103,7 @@ def heading_axis(point: gtsam.Values, key: int) -> Array:
         rotation, tangent = choose("coarse alignment", attitude, point, key)(point, key)
         assert tangent is not None
         columns = tangent.shape[1]
-        if _kind(point, key) in ("Rot2", "Pose2"):
+        if stored_type(attitude, point, key) in ("Rot2", "Pose2"):
             return np.eye(columns)[-1]
     axis = np.zeros(columns)
     axis[:3] = rotation.reshape(3, 3)[2]
@@ -154,8 +154,3 @@ def turn_between(first: Array, second: Array) -> float:
     """Return the angle (rad) about the vertical from one attitude (3, 3) to another."""
     between = second @ first.T
     return float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
-
-
-def _kind(point: gtsam.Values, key: int) -> str:
-    reader = choose("coarse alignment", attitude, point, key)
-    return next(name for name, each in attitude.items() if each is reader)

@@ -12,7 +12,7 @@ from magyc_gtsam.factors.calibration_before import calibration_before
 from magyc_gtsam.factors.delivered import Delivered
 from magyc_gtsam.factors.heading_pull import HeadingPull
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array, attitude
+from magyc_gtsam.factors.variables import Array, attitude, stored_type
 
 Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
 
@@ -97,7 +97,7 @@ def _about_vertical(values: gtsam.Values, angle: float, attitudes: set[int], cen
         return np.asarray(origin + rotate @ (position - origin))
 
     for key in list(values.keys()):
-        kind = _kind(values, key)
+        kind = stored_type(attitude, values, key)
         if kind == "Pose3":
             pose = values.atPose3(key)
             result.update(key, gtsam.Pose3(turn * pose.rotation(), moved(pose.translation())))
@@ -117,7 +117,7 @@ def _about_vertical(values: gtsam.Values, angle: float, attitudes: set[int], cen
 
 def _position(values: gtsam.Values, key: int) -> Array:
     """Return the position (3,) of an attitude variable; 0 where it has none."""
-    kind, result = _kind(values, key), np.zeros(3)
+    kind, result = stored_type(attitude, values, key), np.zeros(3)
     if kind == "Pose3":
         result = values.atPose3(key).translation()
     elif kind == "NavState":
@@ -125,14 +125,3 @@ def _position(values: gtsam.Values, key: int) -> Array:
     elif kind == "Pose2":
         result[:2] = values.atPose2(key).translation()
     return result
-
-
-def _kind(values: gtsam.Values, key: int) -> str:
-    """Return the type of an attitude; an empty text for other variables."""
-    for name, read in attitude.items():
-        try:
-            read(values, key)
-        except RuntimeError:
-            continue
-        return name
-    return ""

@@ -136,6 +136,17 @@ def choose(name: str, variable: Variable, values: gtsam.Values, key: int) -> Rea
     raise MagycError(f"{name}: {key_name(key)} holds a {_stored(problem)}; accepted: {', '.join(variable)}")
 
 
+def stored_type(variable: Variable, values: gtsam.Values, key: int) -> str:
+    """Return the type that a key holds; an empty text for one that the variable does not accept."""
+    for name, read in variable.items():
+        try:
+            read(values, key)
+        except RuntimeError:
+            continue
+        return name
+    return ""
+
+
 def reader(name: str, variable: Variable, key: int) -> Callable[[gtsam.Values], tuple[Array, Array | None]]:
     """Return the reader of one key of a factor, which looks up the type that the key holds once.
 
