@@ -88,18 +88,18 @@ class Node:
         result = sorted(range(len(terms)), key=lambda one: -self.of_terms.nats[one])
         while True:
             powers = self.of_terms.powers(result)
-            of_field = self._of_field(result, powers)
+            deviating = self._deviating_field(result, powers)
             for place in reversed(range(len(result))):
                 index, stronger = result[place], result[:place]
                 deviations = [PRIOR.form * powers[index, j] for j in stronger]
                 passed = any(one_event(terms[index], terms[other]) for other in stronger)
-                if passed or index in of_field or powers[index, index] <= max([0.0, *deviations]):
+                if passed or index in deviating or powers[index, index] <= max([0.0, *deviations]):
                     del result[place]
                     break
             else:
                 return sorted(result)
 
-    def _of_field(self, among: Sequence[int], powers: Mapping[tuple[int, int], float]) -> set[int]:
+    def _deviating_field(self, among: Sequence[int], powers: Mapping[tuple[int, int], float]) -> set[int]:
         """Return the terms that may be a deviation of the field variation from its form.
 
         The field can explain most of what an effect does, but in place of the field the effect explains a good part. So
