@@ -78,9 +78,7 @@ class Prepared:
     def untestable(self) -> tuple[str, Doubt] | None:
         """Return why nothing can be tested, in full and in few words with a remedy; None if there is enough to test."""
         stuck = flickers(self.usable.recording)
-        if (
-            stuck
-        ):  # as `calibrate` says; every test would be one of this axis, and none of the catalogue explains it
+        if stuck:  # as `calibrate` says; no effect of the catalogue explains such an axis
             return f"{stuck}: {_MEND}", Doubt(stuck, _MEND)
         motion = self._determined()
         if not motion.observable:
