@@ -91,18 +91,20 @@ def diagnosed(scenario: Scenario) -> Case:
     return Case(scenario, hidden, mg.find_gap(hidden.recording))
 
 
-@pytest.mark.parametrize(("motion", "named"), [("wide", 0), ("moderate", 1), ("multi", 2)])
-def test_a_catalogue_on_a_motion(motion: str, named: int) -> None:
-    """Named, silent and unknown as it should be; what is corrected is better, what is not stays as it was."""
+@pytest.mark.parametrize(("motion", "named", "failing"), [("wide", 0, 1), ("moderate", 1, 2), ("multi", 2, 1)])
+def test_a_catalogue_on_a_motion(motion: str, named: int, failing: int) -> None:
+    """Named, silent and unknown as it should be; what is corrected is better, what is not stays as it was.
+
+    Of eight effects two fail by chance in a third of all draws at the rate of the blind test on "moderate" (40 of 47).
+    """
     every = [diagnosed(scenario) for scenario in chosen(motion, named)]
     cases = {kind: list(of) for kind, of in groupby(every, lambda case: case.scenario.set)}
     count = {kind: Counter(case.kind for case in of) for kind, of in cases.items()}
     said = "\n".join(str(case) for case in every if case.kind not in (RIGHT, SILENT))
 
     assert count["none"][SILENT] == CLEAN, said
-    # Of eight drawn anew two fail by chance in one draw of eight, at the rate of the blind test on "moderate".
-    assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - 2, said
-    assert count["single"][WRONG] <= 2, said
+    assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - failing, said
+    assert count["single"][WRONG] <= failing, said
     foreign, pairs = count.get("foreign", Counter()), count.get("pair", Counter())
     assert foreign[UNKNOWN] == foreign.total(), said
     assert pairs[RIGHT] + pairs[IN_SET] == pairs.total(), said

@@ -57,7 +57,7 @@ class Prior:
         beside_field, in_place_of_field: least power of a fitted name relative to that of the varying field, beside the
             field and in its place. Functions of time and attitude can explain most of what an effect does, and then
             little remains for the effect beside them; in their place it explains as much as a third of what varies. Of
-            the names in the best sets of 350 real logs with an effect put in (editions 390 to 392), 6 of 251 that are
+            the names in the best sets of 338 real logs with an effect put in (editions 390 to 392), 6 of 251 that are
             there have less, and 61 of 84 that are not; 20 and 68 have less than a tenth beside the field. An
             object in the surroundings is a part of the field: it needs `form_of_field` beside it.
         form_of_colour: the same of all names for correlated noise beside a varying field, three tenths in amplitude: it
