@@ -22,6 +22,7 @@ from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
 from magyc_gtsam.factors.chain.rotations import Array, chained, increments
 from magyc_gtsam.factors.chain.spline import Spline
+from magyc_gtsam.factors.effects.forms import _COERCIVE, _stopped
 
 pytestmark = pytest.mark.skipif(compiled.loops is None, reason="the inner loops were not compiled")
 
@@ -176,6 +177,13 @@ def test_a_play(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.cumsum(np.random.default_rng(n).normal(size=(3, n)), axis=1)
     fast, numpy = both(lambda: followed(values, 1.5), monkeypatch)
     np.testing.assert_array_equal(fast, numpy)
+
+
+@pytest.mark.parametrize("n", [1, 2, 300])
+def test_loops_of_hysteresis(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small and large loops."""
+    values = np.cumsum(np.random.default_rng(n).normal(size=(3, n)), axis=1) * np.array([[0.1], [1.0], [10.0]])
+    close(*both(lambda: _stopped(values, _COERCIVE), monkeypatch))
 
 
 @pytest.mark.parametrize("uneven", [False, True])

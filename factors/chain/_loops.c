@@ -7,9 +7,11 @@
 #include "c/directions.h"
 #include "c/gyroscope.h"
 #include "c/hashes.h"
+#include "c/innovations.h"
 #include "c/linearisation.h"
 #include "c/moments.h"
 #include "c/motion.h"
+#include "c/play.h"
 #include "c/products.h"
 #include "c/rate_errors.h"
 #include "c/settling.h"
@@ -263,26 +265,12 @@ static double window_motion(size n, Arrays *a)
 }
 TO_PYTHON(window_motion, 7, 4)
 
-/* values (k, n), width (1,); result (k, n): what follows the values in a play */
-static double follow(size n, Arrays *a)
-{
-    double width = a->at[1][0];
-    for (size c = 0; c < entries(a, 0) / n; c++) {
-        const double *x = a->at[0] + n * c;
-        double *y = a->at[2] + n * c, last = x[0];
-        for (size t = 0; t < n; t++)
-            y[t] = last = fmin(fmax(last, x[t] - width), x[t] + width);
-    }
-    return 0.0;
-}
-TO_PYTHON(follow, 3, 1)
-
 static PyMethodDef methods[] = {
     METHOD(forward), METHOD(backward), METHOD(linearise), METHOD(eliminate),   METHOD(absorbed),
     METHOD(move),    METHOD(rotate),   METHOD(turn),      METHOD(whiten),      METHOD(score),
     METHOD(chain),   METHOD(lever),    METHOD(sum_windows), METHOD(spline_slopes),
     METHOD(directions), METHOD(step), METHOD(beside_directions),
-    METHOD(cross_integrals), METHOD(follow), METHOD(increments), METHOD(average_moments), METHOD(propagate),
+    METHOD(cross_integrals), METHOD(follow), METHOD(stop), METHOD(innovations), METHOD(increments), METHOD(average_moments), METHOD(propagate),
     METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
     METHOD(angles), METHOD(second_differences), METHOD(higher_differences), METHOD(stand_out), METHOD(alternate),
     METHOD(calm_blocks),

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.banded import BandFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
@@ -48,22 +49,17 @@ class ForwardFilter(NamedTuple):
         below = np.empty((2, 2, n - 1))
         below[0, 0], below[0, 1] = factor[2, :-2:2], factor[1, 1:-2:2]
         below[1, 0], below[1, 1] = factor[3, :-2:2], factor[2, 1:-2:2]
-        information: Array = np.zeros((n, 2, 2))
-        information[1:] = np.moveaxis(-np.einsum("acn,bcn->abn", below, below), 2, 0)
-        information[1:, [0, 1], [0, 1]] += scale[:, None] ** 2
-        information[:, [0, 1], [0, 1]] += _VAGUE
-        ahead: Array = np.asarray(np.linalg.inv(information), dtype=float).transpose(1, 2, 0)
+        information: Array = np.zeros((2, 2, n))
+        information[..., 1:] = -np.einsum("acn,bcn->abn", below, below)
+        information[[0, 1], [0, 1], 1:] += scale**2
+        information[[0, 1], [0, 1]] += _VAGUE
+        ahead = _inverse(information)
         seen = reduced.on_direction
-        scatter = np.eye(3)[:, :, None] + np.einsum("ian,abn,jbn->ijn", seen, ahead, seen)
-        finite = bool(np.isfinite(scatter).all())
-        if finite:
-            value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
-        if not finite or value.min() <= 0:
-            raise MagycError("the innovations of the model have no finite covariance: a term is out of range")
-        whitener = (vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2)
-        whitener = np.ascontiguousarray(np.moveaxis(whitener, 0, 2))
+        seen_ahead = np.einsum("ian,abn->ibn", seen, ahead)
+        scatter = np.eye(3)[:, :, None] + np.einsum("ibn,jbn->ijn", seen_ahead, seen)
+        whitener = _whitener(seen, ahead)
         before, after = -reduced.basis[:, :, :-1] * scale, reduced.basis[:, :, 1:] * scale
-        gain = np.einsum("ian,abn->ibn", np.einsum("ijn,jan->ian", whitener, seen), ahead)[..., 1:]
+        gain = np.einsum("ijn,jbn->ibn", whitener[..., 1:], seen_ahead[..., 1:])
         return cls(
             np.ascontiguousarray(before),
             np.ascontiguousarray(after),
@@ -94,12 +90,17 @@ class ForwardFilter(NamedTuple):
         """
         p, _, n = window.shape
         result = np.empty((p, 3, n))
+        if compiled.loops:
+            data, own = (window, link, self.seen, self.before, self.after), (self.unit.columns, self.unit.inverse)
+            parts = (*data, *own, self.whitener, self.from_half, self.from_link)
+            compiled.loops.innovations(n, *map(compiled.given, parts), result)
+            return result
         rows = max(_AT_ONCE // n, 1)
         for first in range(0, p, rows):
             part = slice(first, first + rows)
-            own, innovation, links = window[part], result[part], None if link is None else link[part]
-            half = self._half(own, links)[:, :, :-1]
-            _onto(self.whitener, own, innovation)
+            some, innovation, links = window[part], result[part], None if link is None else link[part]
+            half = self._half(some, links)[:, :, :-1]
+            _onto(self.whitener, some, innovation)
             innovation[..., 1:] += _onto(self.from_half, half)
             if links is not None:
                 innovation[..., 1:] += _onto(self.from_link, links)
@@ -124,6 +125,44 @@ class ForwardFilter(NamedTuple):
             right[..., :-1] += _onto(self.before, link)
         half = forward_solved(self.unit, right).reshape(len(right), -1, 2)
         return np.ascontiguousarray(np.swapaxes(half, 1, 2))
+
+
+def _whitener(seen: Array, ahead: Array) -> Array:
+    """Return the inverse square root (3, 3, n) of I + S P Sᵀ, of Jacobians S (3, 2, n) and covariances P (2, 2, n).
+
+    With B = I + P SᵀS, which has the same eigenvalues but for one of 1, it is I − S (B + √B)⁻¹ P Sᵀ. The root of a
+    matrix of two by two is (B + √|B| I) / √(tr B + 2 √|B|) (Cayley and Hamilton).
+
+    Raises:
+        MagycError: I + S P Sᵀ is not positive definite, or its rounding is no less than I, the readings' own noise.
+    """
+    unit = np.eye(2)[:, :, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.einsum("ian,ibn->abn", seen, seen)
+        more = np.einsum("abn,bcn->acn", ahead, square)
+        trace = more[0, 0] + more[1, 1]
+        determinant = 1 + trace + _determinant(ahead) * _determinant(square)
+    of_noise = (trace > -2) & (trace * np.finfo(float).eps < 1)
+    if not (np.isfinite(determinant) & (determinant > 0) & of_noise).all():
+        raise MagycError("the innovations of the model have no finite covariance: a term is out of range")
+    root, both = np.sqrt(determinant), unit + more
+    share = _inverse(both + (both + root * unit) / np.sqrt(2 + trace + 2 * root))
+    less = np.einsum("ian,abn->ibn", seen, np.einsum("abn,bcn->acn", share, ahead))
+    result: Array = np.eye(3)[:, :, None] - np.einsum("ibn,jbn->ijn", less, seen)
+    return result
+
+
+def _determinant(matrix: Array) -> Array:
+    """Return the determinants (n,) of matrices (2, 2, n)."""
+    result: Array = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    return result
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverses of matrices (2, 2, n)."""
+    adjugate = np.array([[matrix[1, 1], -matrix[0, 1]], [-matrix[1, 0], matrix[0, 0]]])
+    result: Array = adjugate / _determinant(matrix)
+    return result
 
 
 def _onto(matrix: Array, columns: Array, out: Array | None = None) -> Array:

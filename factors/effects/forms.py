@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices
 from magyc_gtsam.factors.effects import changes
 from magyc_gtsam.factors.effects.changes import Setting, per_axis
@@ -174,12 +175,21 @@ def _hysteresis(s: Signals, setting: Setting) -> Array:
     path = s.path
     along = np.eye(3) if "x" not in setting else np.array([[setting["x"], setting["y"], setting["z"]]])
     y = along @ path.reshape(3, -1) / setting["coercive"]
-    loop = np.stack([_stopped(row, _COERCIVE) for row in y])
+    loop = _stopped(y, _COERCIVE)
     return np.eye(3)[:, :, None] * loop.reshape(len(loop), *path.shape[1:]).mean(axis=-1)
 
 
 def _stopped(y: Array, limits: Array) -> Array:
-    """Return the mean over limits r (l,) of sₙ = clip(sₙ₋₁ + yₙ − yₙ₋₁, −r, r), s₀ = 0, for a signal y (n,).
+    """Return the mean over limits r (l,) of sₙ = clip(sₙ₋₁ + yₙ − yₙ₋₁, −r, r), s₀ = 0, for signals y (k, n)."""
+    if compiled.loops:
+        result = np.empty(y.shape)
+        compiled.loops.stop(y.shape[1], compiled.given(y), limits, result)
+        return result
+    return np.stack([_stopped_by_stretches(row, limits) for row in y])
+
+
+def _stopped_by_stretches(y: Array, limits: Array) -> Array:
+    """Return the same of one signal (n,).
 
     Where y turns back, s follows from where it turned back before. Each stretch is a function s → clip(s + a, low,
     high), and so is a sequence of stretches: those from the first sample are composed by doubling.

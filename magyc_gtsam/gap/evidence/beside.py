@@ -142,15 +142,14 @@ class Beside:
 
     def see(self, columns: Array, score_bias: Array) -> Seen:
         """Return what columns (N, 3n) with score bias (N,) have in common with the model."""
-        reach = columns @ self._white.T
-        reach /= self.noise
-        score, on_signal = (columns @ self._pulls).T
-        return Seen(reach, score - score_bias / self.noise**2, on_signal)
+        found = columns @ np.concatenate([self._white, self._pulls]).T  # the columns are read once
+        found /= self.noise
+        return Seen(found[:, :-2], found[:, -2] - score_bias / self.noise**2, found[:, -1])
 
     @cached_property
     def _pulls(self) -> Array:
-        """(3n, 2) what pulls at a column, and the effects' signal, per unit of it."""
-        return np.column_stack([self.left(), self.signal]) / self.noise
+        """(2, 3n) what pulls at a column, and the effects' signal."""
+        return np.stack([self.left(), self.signal])
 
     @cached_property
     def signal(self) -> Array:

@@ -73,8 +73,11 @@ class Candidates:
             for part, name, setting, prior in parts:
                 groups.setdefault(len(part), []).append((part + first, name, setting, prior))
             first += len(rows)
-        columns = np.concatenate([np.zeros((0, 3 * twin.n)), *(rows for rows, _, _ in stacks)])
-        score_bias = np.concatenate([np.zeros(0), *(biases for _, biases, _ in stacks)])
+        if len(stacks) == 1:
+            columns, score_bias, _ = stacks[0]  # many megabytes, which are not copied
+        else:
+            columns = np.concatenate([np.zeros((0, 3 * twin.n)), *(rows for rows, _, _ in stacks)])
+            score_bias = np.concatenate([np.zeros(0), *(biases for _, biases, _ in stacks)])
         return cls(columns, score_bias, tuple(_batches(columns, groups)))
 
     def only(self, wanted: Callable[[str], bool]) -> Candidates:
@@ -95,7 +98,9 @@ def _gram(columns: Array, places: np.ndarray) -> Array:
     result = np.empty((count, width, width))
     some = max(_AT_ONCE // max(width * columns.shape[1], 1), 1)
     for first in range(0, count, some):
-        own = columns[places[first : first + some]]
+        at = places[first : first + some].ravel()
+        in_a_row = bool((np.diff(at) == 1).all())  # no copy is needed
+        own = (columns[at[0] : at[-1] + 1] if in_a_row else columns[at]).reshape(-1, width, columns.shape[1])
         np.matmul(own, own.swapaxes(1, 2), out=result[first : first + some])
     return result
 

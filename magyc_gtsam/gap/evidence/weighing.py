@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -209,6 +210,7 @@ def nats_by_scale(names: Sequence[str], value: Array, rotated: Array) -> Array:
     return log
 
 
+@cache
 def scales_of(name: str) -> np.ndarray:
     """Return (S,) whether an effect may have a scale, by its data sheets; a family may have any."""
     if name not in TERMS:
