@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,10 +36,34 @@ def drifting() -> mg.Recording:
     return replace(base, magnetic_field=base.magnetic_field + drift)
 
 
+def completed(*given: Any) -> Tree:
+    """A tree with all its sets."""
+    tree = Tree(*given)
+    tree.complete()
+    return tree
+
+
+def test_sets_that_are_grown_again_are_not_completed_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wrong samples are taken out beside the sets of the first tree, and the sets without them are completed."""
+    base = mg.simulate("wide", 120, seed=9, delay=0.3).recording
+    field, wrong = base.magnetic_field.copy(), np.random.default_rng(9).integers(0, len(base.time), 12)
+    field[wrong] += 20e-6
+    trees_of: list[Tree] = []
+    complete = Tree.complete
+    monkeypatch.setattr(Tree, "complete", lambda self: trees_of.append(self) or complete(self))
+    grown: list[Tree] = []
+    grow = Tree._grow
+    monkeypatch.setattr(Tree, "_grow", lambda self, frontier: grown.append(self) or grow(self, frontier))
+    gap = mg.find_gap(replace(base, magnetic_field=field), candidates=("spikes", "timing", "axis-delays"))
+    assert set(gap.names) == {"spikes", "timing"}
+    assert len(grown) == 2
+    assert trees_of == grown[1:]
+
+
 def test_an_exchange_without_a_rival_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """The set that it would have fitted counts towards the most sets, as if it had been."""
     recording = mg.simulate("wide", 120, seed=9, effects=[("timing", 2.0)]).recording
-    tree = Tree(base_of(recording), ("timing", "axis-delays", "eddy-plane"))
+    tree = completed(base_of(recording), ("timing", "axis-delays", "eddy-plane"))
     assert tree.best.names == ("timing",)
     monkeypatch.setattr(Node, "replaceable", lambda self, index: True)
     tried: list[int] = []
@@ -63,12 +88,12 @@ def test_only_sets_that_are_kept_are_looked_at(monkeypatch: pytest.MonkeyPatch) 
             return looks[-1]
 
     monkeypatch.setattr(nodes, "Look", Counted)
-    tree = Tree(base_of(drifting()), (DRIFT, "timing"))
+    tree = completed(base_of(drifting()), (DRIFT, "timing"))
     assert len(looks) == len(tree.nodes)
 
 
 def test_a_set_without_a_fit_is_not_fitted_with_other_numbers_of_modes(monkeypatch: pytest.MonkeyPatch) -> None:
-    tree = Tree(base_of(drifting()), (DRIFT, "timing"))
+    tree = completed(base_of(drifting()), (DRIFT, "timing"))
     node = tree.nodes[(DRIFT,)]
     tried: list[float] = []
     monkeypatch.setattr(JointFits, "fit", lambda self, model, known: tried.append(model.terms[0].setting["order"]))
@@ -81,7 +106,7 @@ def test_an_effect_is_not_exchanged_where_the_set_without_it_has_no_minimum(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As beside strong vibration, which ended with an error."""
-    tree = Tree(base_of(drifting()), (DRIFT, "timing"))
+    tree = completed(base_of(drifting()), (DRIFT, "timing"))
     best = tree.best
     assert best.key == (DRIFT, "timing")
 
@@ -98,8 +123,8 @@ def test_an_effect_is_not_exchanged_where_the_set_without_it_has_no_minimum(
 def test_an_outline_gives_the_same_tree_again() -> None:
     """Of the same readings, from the sets that were probable; without the columns of the tree before."""
     base, names = base_of(drifting()), (DRIFT, "timing", "hard-iron-step")
-    first = Tree(base, names)
-    again = Tree(base, names, (), first.outline)
+    first = completed(base, names)
+    again = completed(base, names, (), first.outline)
     assert again.best.key == first.best.key
     assert again.best.log == pytest.approx(first.best.log, abs=0.1)
     assert again.refused >= first.outline.refused
@@ -108,9 +133,9 @@ def test_an_outline_gives_the_same_tree_again() -> None:
 def test_candidates_that_the_linear_model_does_not_order_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside one that was added, within the nats by which the linear model may be wrong."""
     names = (DRIFT, "hard-iron-step", "timing", "soft-iron-step", "local-anomaly")
-    usual = Tree(base_of(drifting()), names)
+    usual = completed(base_of(drifting()), names)
     monkeypatch.setattr(trees, "PRIOR", replace(PRIOR, alike=1e3))
-    more = Tree(base_of(drifting()), names)
+    more = completed(base_of(drifting()), names)
     assert usual.nodes.keys() < more.nodes.keys()
     assert more.best.log == usual.best.log
 

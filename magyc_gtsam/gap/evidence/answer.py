@@ -83,21 +83,25 @@ def answer(
     outline, turn = None, 0
     while True:
         tree = Tree(root(problem, _bare(base.model, level)), allowed, base.model.terms, outline)
-        before = singles.recording
-        turn += 1
+        turn, grown, before = turn + 1, tree.best, singles.recording
         if stepped and turn == 1:  # once more, with a better model
-            singles.recording, _ = first.without_steps(tree.best.fit.model)
-        singles.take_out(tree.best)
-        if turn == _ROUNDS or singles.recording is before or _same(tree.best, singles.recording):
+            singles.recording, _ = first.without_steps(grown.fit.model)
+        changed = _taken_out(singles, grown, before)
+        if not changed or turn == _ROUNDS:  # sets that are grown again need not be completed
+            tree.complete()
+            changed = tree.best is not grown and _taken_out(singles, tree.best, singles.recording)
+        if not changed or turn == _ROUNDS:
             posterior = _posterior(tree, said, singles.unsteady, COLOUR in names)
             return Answer(singles.recording, tree, posterior, tuple(singles.left_out), singles.unsteady)
         problem, outline = problem_of(singles.recording), tree.outline
         del tree  # as large as the next one
 
 
-def _same(node: Node, recording: Recording) -> bool:
-    """Return whether a set leaves about the same of other readings."""
-    return change(node, node.fit.twin.residual(), left_by(node, recording)) < _SAME
+def _taken_out(singles: SampleEffects, best: Node, before: Recording) -> bool:
+    """Take out what single samples show beside a set; return whether this leaves others of its innovations."""
+    singles.take_out(best)
+    recording = singles.recording
+    return recording is not before and change(best, best.fit.twin.residual(), left_by(best, recording)) >= _SAME
 
 
 def _bare(model: Model, level: SensorNoise) -> Model:

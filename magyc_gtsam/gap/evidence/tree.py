@@ -68,6 +68,9 @@ class Tree:
         first = [self.fits.node((), root, 0.0), *self._given(root, given), *again]
         self.nodes |= {node.key: node for node in first}
         self._grow(first)
+
+    def complete(self) -> None:
+        """Add the sets in which effects are exchanged for rivals, and one more to those that may become better."""
         while self._exchanged() or self._deepened():
             pass
 
