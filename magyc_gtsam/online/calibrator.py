@@ -38,7 +38,7 @@ _ENGINES = {  # method → "module:class"; the class takes the method's options 
 }
 _TOGETHER = 16  # number of single samples that are processed together
 _MOST_DIRECTIONS = 2000  # largest number of samples whose directions count as visited
-_FORMAT = "magyc-gtsam online state 21"
+_FORMAT = "magyc-gtsam online state 22"
 
 
 class OnlineCalibrator:

@@ -60,6 +60,16 @@ class Marginal(NamedTuple):
             information=result.information * np.outer(kept, kept), gradient=result.gradient * kept
         )
 
+    def changed(self, columns: Array) -> Marginal:
+        """Return the marginal after a change by `columns` (18, k), each of standard deviation one."""
+        onto = self.information @ columns
+        inside = np.eye(columns.shape[1]) + columns.T @ onto
+        gain = np.linalg.solve(inside, onto.T).T
+        return self._replace(
+            information=_symmetric(self.information - gain @ onto.T),
+            gradient=self.gradient - gain @ (columns.T @ self.gradient),
+        )
+
     def widen(self, rows: slice, sigma: float) -> Marginal:
         """Return the marginal after a random walk of parameters by `sigma` each."""
         if sigma == 0.0:
@@ -112,7 +122,7 @@ class ContinuedChain(FieldChain):
             return None
         size = len(state.parameters)
         rows = np.r_[:size, WITH_SKEW : WITH_SKEW + 2]
-        slope = self.past.gradient + self.past.information @ self._away(state)
+        slope = self.past.gradient + self.past.information @ self.away(state)
         onto = np.eye(size + 2)
         onto[size:, size:] = self.origin[1].T @ basis[:, :, 0]
         information = self.past.information[np.ix_(rows, rows)]
@@ -136,7 +146,7 @@ class ContinuedChain(FieldChain):
         """Return the cost of the past at `state`, relative to the point of its marginal."""
         if self.past is None:
             return 0.0
-        away = self._away(state)
+        away = self.away(state)
         return float(self.past.gradient @ away + 0.5 * away @ self.past.information @ away)
 
     def marginalise(self, state: ChainState, weights: Weights, last: int) -> Marginal:
@@ -156,7 +166,7 @@ class ContinuedChain(FieldChain):
             state.parameters, mean @ state.direction[:, -1], mean @ reduced.basis[:, :, -1], information, gradient
         )
 
-    def _away(self, state: ChainState) -> Array:
+    def away(self, state: ChainState) -> Array:
         """Return x (18,) of `state`, relative to the marginal's point."""
         assert self.past is not None
         direction, tangent = self.origin

@@ -238,15 +238,9 @@ def _change(
     """Return the change before window `first` by `columns` (18, k) of standard deviation one each."""
     last = first - 1
     before_it = with_angles(fit.state.parameters)
-    onto = past.information @ columns
-    inside = np.eye(columns.shape[1]) + columns.T @ onto
-    gain = np.linalg.solve(inside, onto.T).T
-    widened = past._replace(
-        information=past.information - gain @ onto.T,
-        gradient=past.gradient - gain @ (columns.T @ past.gradient),
-    )
+    inside = np.eye(columns.shape[1]) + columns.T @ past.information @ columns
     windows = chain.windows.part(last, len(chain.windows))
-    newest = replace(chain, windows=windows, past=widened, facts=())
+    newest = replace(chain, windows=windows, past=past.changed(columns), facts=())
     try:
         free = np.append(fit.free[:PARAMETERS], np.ones(3, dtype=bool))
         changed = fitted(newest, before_it, free)

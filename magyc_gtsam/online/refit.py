@@ -36,7 +36,8 @@ from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.marginal import BIAS, ContinuedChain, continued
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
 from magyc_gtsam.online.report import LEAST_STABLE, drift_of, observable, report_of, testable
-from magyc_gtsam.online.restart import SOFT_IRON, restart_after_change, restart_at_convergence, soft_iron_changed
+from magyc_gtsam.online.restart import restart_after_change, restart_at_convergence
+from magyc_gtsam.online.soft_iron_change import soft_iron_change
 from magyc_gtsam.online.stability import agree, is_stable, to_compare
 from magyc_gtsam.online.state import Estimate, SmootherState
 from magyc_gtsam.recording import Array, Recording
@@ -129,9 +130,8 @@ def refit(online: SmootherState) -> None:
         return
     try:
         fit, samples = fit_samples(online, recording, search)
-        if belief.past is not None and soft_iron_changed(fit):
-            belief.past = belief.past.forget(SOFT_IRON)
-            fit, samples = fit_samples(online, recording, search)
+        if belief.past is not None:
+            fit, samples = _with_soft_iron_of_now(online, recording, fit, samples)
     except MagycError as problem:
         _give_up(online, problem)
         if later:
@@ -170,6 +170,21 @@ def refit(online: SmootherState) -> None:
         restart_at_convergence(online, fit, report)
 
 
+def _with_soft_iron_of_now(
+    online: SmootherState, recording: Recording, fit: Fit, samples: Preintegration
+) -> tuple[Fit, Preintegration]:
+    """Return fit and windows since a step, the past widened if the soft iron changed; store what else it may cause."""
+    belief, colour = online.belief, online.last.colour
+    change = soft_iron_change(fit, colour)
+    if change is not None and change.probable:
+        belief.past = change.past
+        fit, samples = fit_samples(online, recording, False)
+        change = soft_iron_change(fit, colour)
+    # Parameters that walk replace what the model does not explain.
+    belief.iron_change = None if change is None or online.settings.walks else change.component
+    return fit, samples
+
+
 def _without_past(
     online: SmootherState, recording: Recording, report: Calibration
 ) -> tuple[Fit, Preintegration] | None:
@@ -183,8 +198,8 @@ def _without_past(
     Returns:
         Their fit and windows; None if the past is kept.
     """
-    belief, kept = online.belief, (online.belief.past, online.belief.unexplained)
-    belief.past = belief.unexplained = None
+    belief, kept = online.belief, (online.belief.past, online.belief.unexplained, online.belief.iron_change)
+    belief.past = belief.unexplained = belief.iron_change = None
     try:
         fit, samples = fit_batch(recording, None, online.fit_options)
         alone = report_of(online, recording, fit)
@@ -192,14 +207,16 @@ def _without_past(
             return fit, samples
     except MagycError:  # they do not determine a calibration
         pass
-    belief.past, belief.unexplained = kept
+    belief.past, belief.unexplained, belief.iron_change = kept
     return None
 
 
 def _give_up(online: SmootherState, problem: MagycError) -> None:
     """Report axes that disagree, or too little motion; the next refit tries again with more data."""
     belief = online.belief
-    belief.problem, belief.head, belief.estimate, belief.stable = str(problem), None, None, False
+    belief.problem, belief.head, belief.stable = str(problem), None, False
+    if belief.past is None:  # otherwise the next refit begins at the estimate
+        belief.estimate = None
     belief.disagree = isinstance(problem, axes.SensorsDisagree)
     belief.report = None  # of a fit that the problem contradicts
 

@@ -50,8 +50,10 @@ def report_of(
         unexplained = ModelError(np.zeros_like(refitted.covariance))
     if refitted is not None:
         fit = replace(with_misalignment(online, fit), noise_freedom=refitted.noise_freedom)
-    if change is not None:
-        unexplained = (model_error(fit, online.buffer) if unexplained is None else unexplained).beside(change)
+    since = _iron_change(online, fit)
+    for each in (change, since):
+        if each is not None:
+            unexplained = (model_error(fit, online.buffer) if unexplained is None else unexplained).beside(each)
     options = online.settings.without_prior if online.belief.changes else online.settings
     result = calibration_of(
         recording, fit, options, colour, doubts, unexplained=unexplained, samples=online.buffer
@@ -60,6 +62,12 @@ def report_of(
     configuration = dict(online.settings.configuration)
     result = replace(result, diagnostics={**result.diagnostics, "windows": windows}, configuration=configuration)
     return as_mounted(result, recording)
+
+
+def _iron_change(online: SmootherState, fit: Fit) -> Component | None:
+    """Return the error by a change of the soft iron at the last step, if a fit goes on from what was before it."""
+    continues = isinstance(fit.chain, ContinuedChain) and fit.chain.past is not None
+    return online.belief.iron_change if continues else None
 
 
 def with_doubt(calibration: Calibration, fit: Fit) -> Calibration:

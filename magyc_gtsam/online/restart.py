@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, descend
+from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.noise_levels import weigh
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.chain_values import DELAY, ChainState, Weights
@@ -28,10 +28,6 @@ _EMPTY_COUNT = 1e-6  # sample count given to a window whose field is left out
 _REJECTED = 16.27  # χ² of 3 degrees of freedom at 99.9 %, the cost of a window that does not fit
 _UNKNOWN = 1e-6  # weight of windows whose field is left out; not zero, so that all directions are determined
 _ABOUT = 3  # windows before the edge at which the transition may begin
-SOFT_IRON = slice(0, 6)
-# Smallest λ of a change: in 790 refits after jumps of the hard iron alone λ was 27 at most (58 in one refused log), in
-# those after a change of the soft iron by 2 % it was 35 to 87 (docs/online.md).
-_SOFT_IRON_LIMIT = 30.0
 
 
 def restart(online: SmootherState, fit: Fit, step: Step, numbers: Array) -> None:
@@ -56,6 +52,7 @@ def restart(online: SmootherState, fit: Fit, step: Step, numbers: Array) -> None
     belief.estimate = online.last._replace(parameters=after.state.parameters, covariance=after.covariance)
     belief.front, belief.undecided, belief.waiting = None, False, False
     belief.refitted, belief.stable, belief.settled, belief.next_refit = None, False, False, FIRST
+    belief.iron_change = None
 
 
 def restart_at_convergence(online: SmootherState, fit: Fit, now: Calibration) -> None:
@@ -138,28 +135,6 @@ def _begin_after(online: SmootherState, earlier: EarlierChange, now: Calibration
         )
         online.belief.changes.append(Change(earlier.time, earlier.time_sigma, earlier.step, sigma, before, None))
     online.begin_at(number)
-
-
-def soft_iron_changed(fit: Fit) -> bool:
-    """Return whether the windows after a step contradict the soft iron estimated before it, as steel attached or a
-    sensor mounted anew would cause.
-
-    After a step the past marginal keeps its information on the soft iron; if that were wrong, the hard iron of the
-    following windows would be biased. The test is the likelihood ratio λ, at the fit's weights and noise, of the fit
-    with that information against the fit without it: χ² with 6 degrees of freedom if the soft iron did not change.
-
-    Args:
-        fit: at its minimum.
-    """
-    chain = fit.chain
-    if not isinstance(chain, ContinuedChain) or chain.past is None or not chain.past.information[SOFT_IRON].any():
-        return False
-    information, gradient = chain.past.information[SOFT_IRON, SOFT_IRON], chain.past.gradient[SOFT_IRON]
-    # The cost of the marginal without the soft iron is relative to its own minimum.
-    least = -0.5 * float(gradient @ np.linalg.solve(information, gradient))
-    without = replace(chain, past=chain.past.forget(SOFT_IRON))
-    free = descend(replace(fit, chain=without, reduced=without.eliminate(fit.state, fit.weights)), NEAR)
-    return 2 * (fit.reduced.cost - free.reduced.cost - least) > _SOFT_IRON_LIMIT * fit.colour
 
 
 class EarlierChange(NamedTuple):

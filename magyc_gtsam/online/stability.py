@@ -29,6 +29,8 @@ def to_compare(online: SmootherState, fit: Fit, report: Calibration) -> Array | 
     variance, unexplained = fit.colour * np.diag(fit.covariance), online.belief.unexplained
     if unexplained is not None:
         variance[:PARAMETERS] += np.diag(unexplained.covariance)[:PARAMETERS]
+    if online.belief.iron_change is not None:
+        variance[:PARAMETERS] += np.diag(online.belief.iron_change.covariance)[:PARAMETERS]
     return np.array([fit.state.parameters, np.sqrt(variance)])
 
 

@@ -134,17 +134,16 @@ class Belief:
         next_refit, next_search: numbers of windows at which all are fitted again, and without the estimate as a start.
         estimate: the last estimate; None before the motion determines one.
         origin: (4,) bias and delay at which the gyroscope was integrated in the last refit.
-        refitted: θ and its sigmas (2, p) at the last refit.
-        report: the calibration of the last refit.
+        refitted, report: θ and its sigmas (2, p), and the calibration, of the last refit.
         settled, stable: whether the head joins the past as it grows; whether the estimate has converged.
-        undecided: whether the tail may contain a step.
-        waiting: whether a refit waits for its decision, because the step would be large.
+        undecided, waiting: whether the tail may contain a step; whether a refit waits for that, as it would be large.
         misfit_from: number of the first window of a tail of which most windows did not fit; None if they do.
         next_restart: windows since then at which they are fitted by themselves.
         problem, disagree: why there is no estimate, or ""; whether it is axes or units in which the sensors disagree.
         doubt: why the last refit rejected a misalignment that the data suggest.
         contradictions: of the earlier calibration by the data, at the last refit.
         unexplained: model error at the last refit; None before, and if parameters walk.
+        iron_change: error by a change of the soft iron at the last step; None without a refit since.
         changes: the steps found; their `after` is not set.
         drift: drift of the clocks until the last refit.
         clock_start: first stamp of the magnetometer, s, from which a known drift is removed.
@@ -174,6 +173,7 @@ class Belief:
     doubt: str = ""
     contradictions: list[str] = field(default_factory=list)
     unexplained: ModelError | None = None
+    iron_change: Component | None = None
     changes: list[Change] = field(default_factory=list)
     drift: Drift | None = None
     clock_start: float = np.nan
@@ -292,7 +292,7 @@ class SmootherState:
         last = buffer.magnetometer.time[int(np.searchsorted(buffer.numbers, belief.done)) - 1]
         buffer.begin_at(number, self.settings.window)
         belief.done = int(buffer.numbers[np.searchsorted(buffer.magnetometer.time, last)])
-        belief.past = belief.head = belief.front = None
+        belief.past = belief.head = belief.front = belief.iron_change = None
         belief.estimate = belief.refitted = belief.report = belief.drift = belief.unexplained = None
         belief.next_refit = belief.next_search = FIRST
         belief.stable = belief.settled = belief.undecided = belief.waiting = False
