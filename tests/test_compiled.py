@@ -20,6 +20,7 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS, WITH_SKEW, ChainS
 from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
+from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, chained, increments
 from magyc_gtsam.factors.chain.spline import Spline
 from magyc_gtsam.factors.effects.forms import _COERCIVE, _stopped
@@ -141,6 +142,22 @@ def test_integration(late: float, monkeypatch: pytest.MonkeyPatch) -> None:
     fast, numpy = both(lambda: preintegrate(recording).integrate(np.array([0.01, 0.0, -0.02]), late), monkeypatch)
     for name in ("rotation", "rotation_rate", "rotation_bias", "lever", "field", "link_time"):
         close(getattr(fast, name), getattr(numpy, name))
+
+
+@pytest.mark.parametrize("interval_mean", [False, True])
+def test_a_track_between_its_stamps(interval_mean: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At its first and last stamps, between others, and out of order; across turns of more than a radian."""
+    random = np.random.default_rng(8)
+    time, rate = np.cumsum(random.uniform(0.5, 1.5, 300)), random.normal(size=(300, 3))
+    track = GyroscopeTrack.integrate(time, rate, np.array([0.1, 0.0, -0.2]), interval_mean=interval_mean)
+    when = np.append(random.uniform(time[0], time[-1], 200), time[[0, 7, -1]])
+
+    def motion() -> list[Array]:
+        (p, q), lever, turned = track.motion_at(when)
+        return [p.view(float), q.view(float), lever, turned]
+
+    for fast, numpy in zip(*both(motion, monkeypatch), strict=True):
+        close(fast, numpy)
 
 
 def test_a_long_chain_of_large_rotations(monkeypatch: pytest.MonkeyPatch) -> None:

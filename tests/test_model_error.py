@@ -11,6 +11,7 @@ from magyc_gtsam import Recording, calibrate, simulate
 from magyc_gtsam.estimators.model_error import ModelError, component, model_error
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES
+from magyc_gtsam.estimators.model_error.held_columns import HeldColumns
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided, too_slow
@@ -208,6 +209,31 @@ def test_amplitudes_come_back() -> None:
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(found), axis=0)), [0.5, 2.0], rtol=0.15)
     assert np.mean(level) == pytest.approx(3.0, rel=0.02)
     assert np.mean(score) == pytest.approx(30, abs=4)
+
+
+def test_columns_beside_those_that_are_held() -> None:
+    """As one elimination gives them, whatever was held before; a group of one, and one without information."""
+    random = np.random.default_rng(3)
+    rows = random.normal(size=(9, 40))
+    rows[4] = 0.0
+    normal, score, square = rows @ rows.T, rows @ random.normal(size=40), 60.0
+    groups, variance = [slice(0, 3), slice(3, 4), slice(4, 6), slice(6, 9)], [0.5, 2.0, 0.1, 30.0]
+    held = HeldColumns(normal, score, square)
+    for there in ((0, 1, 2), (1, 3), (0, 2, 3), ()):
+        for i, own in enumerate(groups):
+            held.release(own)
+            if i in there:
+                held.hold(own, variance[i])
+        kept = np.concatenate([np.arange(9)[groups[i]] for i in there] + [np.zeros(0, dtype=int)]).astype(int)
+        prior = np.concatenate([np.full(len(np.arange(9)[groups[i]]), variance[i]) for i in there] + [np.zeros(0)])
+        solved = np.linalg.solve(normal[np.ix_(kept, kept)] + np.diag(1 / prior), np.c_[normal[kept], score[kept]])
+        assert held.left == pytest.approx(square - score[kept] @ solved[:, -1])
+        for i, own in enumerate(groups):
+            if i not in there:
+                expected = (np.c_[normal, score] - normal[:, kept] @ solved)[own]
+                np.testing.assert_allclose(
+                    np.c_[held.normal(own), held.score(own)], expected[:, [*range(9)[own], -1]]
+                )
 
 
 def test_no_amplitude_where_there_is_none() -> None:

@@ -272,7 +272,7 @@ static PyMethodDef methods[] = {
     METHOD(directions), METHOD(step), METHOD(beside_directions),
     METHOD(cross_integrals), METHOD(follow), METHOD(stop), METHOD(innovations), METHOD(increments), METHOD(average_moments), METHOD(propagate),
     METHOD(start_from), METHOD(start_left), METHOD(turn_rates), METHOD(align),
-    METHOD(angles), METHOD(second_differences), METHOD(higher_differences), METHOD(stand_out), METHOD(alternate),
+    METHOD(angles), METHOD(motion_at), METHOD(second_differences), METHOD(higher_differences), METHOD(stand_out), METHOD(alternate),
     METHOD(calm_blocks),
     METHOD(hash_cells), METHOD(hash_runs), METHOD(roughness), METHOD(window_motion), METHOD(residuals),
     METHOD(log_likelihoods), METHOD(look), METHOD(average_samples), METHOD(rate_errors), {NULL, NULL, 0, NULL},

@@ -168,6 +168,18 @@ class GyroscopeTrack:
         squared = self.step**2 if self.stamp_variance is None else self.step**2 + self.stamp_variance
         return np.cumsum(np.concatenate([[self.squared_time_before], squared]))
 
+    def motion_at(self, when: Array) -> tuple[Spinor, Array, Array]:
+        """Return R as spinors (n,), K (9, n) in s, and the rate (n, 3) in rad/s less the bias, as below."""
+        if compiled.loops is None:
+            rotation, rate = self.rotation_at(when)
+            return rotation, self.lever_at(when), rate
+        n = len(when)
+        track = (self.time, *self.rotation, self.angular_rate, self.increment.T, self.lever, self.bias)
+        inputs = map(compiled.given, (*track, np.array([float(self.interval_mean)]), when))
+        result = np.empty(n, complex), np.empty(n, complex), np.empty((9, n)), np.empty((n, 3))
+        compiled.loops.motion_at(len(self.time), *inputs, *result)
+        return (result[0], result[1]), result[2], result[3]
+
     def rotation_at(self, when: Array) -> tuple[Spinor, Array]:
         """Return R as spinors (n,), and the rate (n, 3) in rad/s less the bias, at times inside the track.
 

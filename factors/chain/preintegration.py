@@ -273,5 +273,4 @@ class Preintegration:
             p, q = track.rotation
             rate = track.angular_rate[own]
             return (p[own], q[own]), track.lever[:, own], rate - track.bias if track.bias.any() else rate
-        rotation, rate = track.rotation_at(when)
-        return rotation, track.lever_at(when), rate
+        return track.motion_at(when)

@@ -20,22 +20,23 @@ from magyc_gtsam.sensor_faults.stuck_bit import stuck_bit
 def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
     """Return whether any of the detectors could find a fault in the named sensors' samples."""
     field = recording.magnetometer.value
-    seen = _seen(field)
-    at_extreme = max(full_scale.LEAST, full_scale.MOST * len(field))
-    if (
-        _repeats(recording)
-        or seen.zeros
-        or seen.stuck
-        or seen.at_extreme > at_extreme
-        or stuck_bit(field) is not None
-    ):
+    turns = recording.angular_rate is not None and "angular_rate" in sensors
+    if _repeats(recording) or _field_stands_out(field) or (turns and _rate_stands_out(recording.gyroscope.value)):
         return True
-    if recording.angular_rate is None or "angular_rate" not in sensors:
-        return False
-    rate = recording.gyroscope.value
+    # Last, since the test is the detector's own.
+    return stuck_bit(field) is not None or (
+        turns and stuck_bit(recording.gyroscope.value, "angular_rate") is not None
+    )
+
+
+def _field_stands_out(field: Array) -> bool:
+    seen = _seen(field)
+    return seen.zeros or seen.stuck or seen.at_extreme > max(full_scale.LEAST, full_scale.MOST * len(field))
+
+
+def _rate_stands_out(rate: Array) -> bool:
     seen = _seen(rate)
-    cut_off = seen.again and any(map(_levels_off, rate.T))
-    return seen.zeros or seen.stuck or cut_off or has_spikes(rate) or stuck_bit(rate, "angular_rate") is not None
+    return seen.zeros or seen.stuck or (seen.again and any(map(_levels_off, rate.T))) or has_spikes(rate)
 
 
 class _Seen(NamedTuple):

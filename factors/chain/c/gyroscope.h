@@ -85,38 +85,44 @@ WIDE_VECTORS static void half_angles(size some, in_t vector, size n, out_t cosin
     }
 }
 
+/* The rotation p, q followed by the exponential of a vector (3,), whose entries are n apart, given `half_angles` of it. */
+ALWAYS_INLINE void turned_by_vector(const double *p, const double *q, const double *vector, size n, double cosine,
+                                    double half, double *p1, double *q1)
+{
+    double w = p[0], x = p[1], y = q[0], z = q[1];
+    double a = vector[0], b = vector[n], c = vector[2 * n], square = a * a + b * b + c * c, v = cosine;
+    if (!(square < 0.05)) {
+        double angle = sqrt(square);
+        v = cos(0.5 * angle);
+        half = sin(0.5 * angle) / angle;
+    }
+    a *= half;
+    b *= half;
+    c *= half;
+    p1[0] = w * v - x * a - y * b - z * c;
+    p1[1] = w * a + x * v + y * c - z * b;
+    q1[0] = w * b - x * c + y * v + z * a;
+    q1[1] = w * c + x * b - y * a + z * v;
+}
+
 /* Products of the exponentials of n rotation vectors (3, n), n + 1 of them, the first one. */
 static void chained(size n, in_t vector, out_t p, out_t q)
 {
-    double w = 1.0, x = 0.0, y = 0.0, z = 0.0, cosine[STRETCH], halves[STRETCH];
+    double cosine[STRETCH], half[STRETCH];
     p[0] = 1.0;
     p[1] = q[0] = q[1] = 0.0;
     for (size t = 0; t < n; t++) {
         if (t % STRETCH == 0)
-            half_angles(LEAST(STRETCH, n - t), vector + t, n, cosine, halves);
-        double a = vector[t], b = vector[n + t], c = vector[2 * n + t], square = a * a + b * b + c * c;
-        double half = halves[t % STRETCH], v = cosine[t % STRETCH];
-        if (!(square < 0.05)) {
-            double angle = sqrt(square);
-            v = cos(0.5 * angle);
-            half = sin(0.5 * angle) / angle;
-        }
-        a *= half;
-        b *= half;
-        c *= half;
-        double w1 = w * v - x * a - y * b - z * c, x1 = w * a + x * v + y * c - z * b;
-        double y1 = w * b - x * c + y * v + z * a, z1 = w * c + x * b - y * a + z * v;
+            half_angles(LEAST(STRETCH, n - t), vector + t, n, cosine, half);
+        double *p1 = p + 2 * t + 2, *q1 = q + 2 * t + 2;
+        turned_by_vector(p + 2 * t, q + 2 * t, vector + t, n, cosine[t % STRETCH], half[t % STRETCH], p1, q1);
         if (t % RENORMALISED == RENORMALISED - 1) {
-            double norm = 1.5 - 0.5 * (w1 * w1 + x1 * x1 + y1 * y1 + z1 * z1);
-            w1 *= norm;
-            x1 *= norm;
-            y1 *= norm;
-            z1 *= norm;
+            double norm = 1.5 - 0.5 * (p1[0] * p1[0] + p1[1] * p1[1] + q1[0] * q1[0] + q1[1] * q1[1]);
+            for (int i = 0; i < 2; i++) {
+                p1[i] *= norm;
+                q1[i] *= norm;
+            }
         }
-        p[2 * t + 2] = w = w1;
-        p[2 * t + 3] = x = x1;
-        q[2 * t + 2] = y = y1;
-        q[2 * t + 3] = z = z1;
     }
 }
 
@@ -150,6 +156,47 @@ static void levers(size n, in_t p, in_t q, in_t step, in_t start, out_t lever)
         }
     }
 }
+
+/* Of n stamps: their times, rotations p and q, rates (n, 3), turns (3, n − 1) from each to the next and levers (9, n);
+   bias (3,); 1 if rates are means since the stamp before, else 0. At times (m,): rotations, levers (9, m), rates (m, 3). */
+static double motion_at(size n, Arrays *a)
+{
+    const double *time = a->at[0], *rate = a->at[3], *turn = a->at[4], *lever = a->at[5], *bias = a->at[6];
+    const double *when = a->at[8], means = a->at[7][0];
+    double *p = a->at[9], *q = a->at[10], *of_lever = a->at[11], *of_rate = a->at[12];
+    double vector[3 * STRETCH], cosine[STRETCH], half[STRETCH];
+    size m = entries(a, 8), place[STRETCH], left = 0;
+    for (size first = 0; first < m; first += STRETCH) {
+        size some = LEAST(STRETCH, m - first);
+        for (size k = 0; k < some; k++) {
+            size t = first + k;
+            while (left > 0 && time[left] > when[t])
+                left--;
+            while (left < n - 2 && time[left + 1] <= when[t])
+                left++;
+            place[k] = left;
+            double step = time[left + 1] - time[left], since = when[t] - time[left], share = since / step;
+            for (int i = 0; i < 3; i++) {
+                double before = rate[3 * left + i], after = rate[3 * left + 3 + i], whole = turn[i * (n - 1) + left];
+                double there = before + (after - before) * share;
+                double rest = whole - (0.5 * (before + after) - bias[i]) * step;
+                vector[i * STRETCH + k] =
+                    means ? whole * share : (0.5 * (before + there) - bias[i]) * since + rest * share;
+                of_rate[3 * t + i] = (means ? after : there + rest / step) - bias[i];
+            }
+            for (int i = 0; i < 9; i++) {
+                const double *own = lever + i * n + left;
+                of_lever[i * m + t] = own[0] + (own[1] - own[0]) * share;
+            }
+        }
+        half_angles(some, vector, STRETCH, cosine, half);
+        for (size k = 0; k < some; k++)
+            turned_by_vector(a->at[1] + 2 * place[k], a->at[2] + 2 * place[k], vector + k, STRETCH, cosine[k], half[k],
+                             p + 2 * (first + k), q + 2 * (first + k));
+    }
+    return 0.0;
+}
+TO_PYTHON(motion_at, 13, 4)
 
 /* Sums (27, windows) over the samples of each window, from its start to the next: R and K row by row, and
    d/dτ R(t − τ)ᵀ = [ω]× Rᵀ. Samples (m): p, q, lever (9, m), rate (m, 3). */

@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dsyevd
 
+from magyc_gtsam.estimators.model_error.held_columns import HeldColumns
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
@@ -159,62 +159,28 @@ def fit_components(
         usual: the largest usual amplitude of each; `most` by default.
     """
     usual, possible = most if usual is None else usual, np.zeros(len(score))
-    variance, prior, level = np.zeros(len(groups)), np.zeros(len(score)), square / freedom
+    variance, level = np.zeros(len(groups)), square / freedom
     for _ in range(_SWEEPS):
-        before = variance.copy()
+        before, held = variance.copy(), HeldColumns(normal, score, square)
+        for own, there in zip(groups, variance, strict=True):
+            if there > 0:
+                held.hold(own, there)
         for i, own in enumerate(groups):
-            prior[own] = 0.0
-            held = FixedColumns.of(normal, score, prior, square)
-            known, pulled = held.explained(normal[:, own])
-            found = likeliest(
-                normal[own, own] - known,
-                score[own] - pulled,
-                held.left,
-                freedom,
-                most[i] ** 2 / level,
-                usual[i] ** 2 / level,
-            )
+            held.release(own)
+            bounds = most[i] ** 2 / level, usual[i] ** 2 / level
+            found = likeliest(held.normal(own), held.score(own), held.left, freedom, *bounds)
             variance[i], possible[own] = (found.variance, found.mean) if found.gain > _LEAST_GAIN else (0.0, 0.0)
-            prior[own] = variance[i]
-        second, level, mean = _posterior(normal, score, prior, square, freedom)
+            if variance[i] > 0:
+                held.hold(own, variance[i])
+        level = held.left / freedom
         if np.allclose(before, variance, rtol=_CONVERGED, atol=0.0):
             break
+    prior = np.zeros(len(score))
+    for own, likely in zip(groups, variance, strict=True):
+        prior[own] = likely
+    _, level, mean = _posterior(normal, score, prior, square, freedom)
     second = _posterior(normal, score, possible, square, freedom)[0]
     return Components(np.sqrt(variance * level), level, second, mean, prior)
-
-
-class FixedColumns(NamedTuple):
-    """Columns whose variances are held fixed.
-
-    Attributes:
-        active: (K,) bool, columns with a variance above 0.
-        factor: Cholesky factor of G + V⁻¹ of the active columns; None if there are none.
-        solved: (G + V⁻¹)⁻¹ s of the active columns.
-        left: yᵀy − sᵀ (G + V⁻¹)⁻¹ s.
-    """
-
-    active: np.ndarray
-    factor: tuple[Array, bool] | None
-    solved: Array
-    left: float
-
-    @classmethod
-    def of(cls, normal: Array, score: Array, prior: Array, square: float) -> FixedColumns:
-        """Factorise columns with G (K, K), s (K,), variances over φ (K,) and yᵀy."""
-        active = prior > 0
-        if not active.any():
-            return cls(active, None, np.zeros(0), square)
-        factor = cho_factor(normal[np.ix_(active, active)] + np.diag(1 / prior[active]))
-        solved = cho_solve(factor, score[active])
-        left = max(square - float(score[active] @ solved), _ROUNDING * square)
-        return cls(active, factor, solved, left)
-
-    def explained(self, across: Array) -> tuple[Array, Array]:
-        """Return what these columns explain of others' G (k, k) and s (k,), given their common block of G (K, k)."""
-        if self.factor is None:
-            return np.zeros((across.shape[1], across.shape[1])), np.zeros(across.shape[1])
-        some = across[self.active]
-        return some.T @ cho_solve(self.factor, some), some.T @ self.solved
 
 
 def _posterior(

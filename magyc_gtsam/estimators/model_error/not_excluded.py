@@ -18,12 +18,12 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.component import Component, FamilyTest, JointFit, moves
 from magyc_gtsam.estimators.model_error.components import (
-    FixedColumns,
     PrincipalAxes,
     likeliest,
     log_likelihoods,
     principal,
 )
+from magyc_gtsam.estimators.model_error.held_columns import HeldColumns
 from magyc_gtsam.estimators.model_error.moments import averaged_moments, propagated
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
@@ -103,26 +103,24 @@ class _Others(NamedTuple):
     """The families that a hypothesis has beside the one considered.
 
     Attributes:
-        held: their columns.
+        held: their columns, and those of the ones considered.
         prior, gain: prior odds and gain in log-likelihood of the family that is replaced; those of none otherwise.
     """
 
-    held: FixedColumns
+    held: HeldColumns
     prior: float = 1.0
     gain: float = 0.0
 
 
-def _others(beside: ColumnProducts, shown: JointFit) -> Iterator[_Others]:
-    """Yield all families that are shown, then all but one, for each of them."""
-    yield _Others(FixedColumns.of(shown.normal, shown.score, shown.variance, beside.square))
+def _others(every: HeldColumns, beside: ColumnProducts, shown: JointFit) -> Iterator[_Others]:
+    """Yield all families that are shown, which are held, then all but one, for each of them."""
+    yield _Others(every)
     for replaced, own in shown.active:
-        variance = shown.variance.copy()
-        variance[own] = 0.0
-        held = FixedColumns.of(shown.normal, shown.score, variance, beside.square)
-        known, pulled = held.explained(shown.normal[:, own])
-        new = shown.normal[own, own] - known, shown.score[own] - pulled
+        held = every.copy()
+        held.release(own)
         most = replaced.family.most**2 * beside.freedom / held.left
-        yield _Others(held, replaced.family.prior, likeliest(*new, held.left, beside.freedom, most).gain)
+        gain = likeliest(held.normal(own), held.score(own), held.left, beside.freedom, most).gain
+        yield _Others(held, replaced.family.prior, gain)
 
 
 def _likeliest(
@@ -134,18 +132,32 @@ def _likeliest(
         axes = [each.principal for each in families]
         every = averaged_of_each(axes, beside.square, beside.freedom, largest, octaves)
         return [(_odds(each, known), known) for each, known in zip(families, every, strict=True)]
-    stacked = Stacked.of([each.new for each in families])
-    across = shown.stacked.across(stacked)
+    held, rows = _beside_shown(beside, families, shown)
     hypotheses = []
-    for others in _others(beside, shown):
-        known, pulled = others.held.explained(across)
-        axes = [
-            principal(each.new.normal - known[own, own], each.new.score - pulled[own])
-            for each, own in zip(families, stacked.groups, strict=True)
-        ]
+    for others in _others(held, beside, shown):
+        axes = [principal(others.held.normal(own), others.held.score(own)) for own in rows]
         every = averaged_of_each(axes, others.held.left, beside.freedom, largest, octaves)
         hypotheses.append([(_odds(*each, others), each[1]) for each in zip(families, every, strict=True)])
     return [max(each, key=lambda hypothesis: hypothesis[0]) for each in zip(*hypotheses, strict=True)]
+
+
+def _beside_shown(
+    beside: ColumnProducts, families: Sequence[FamilyTest], shown: JointFit
+) -> tuple[HeldColumns, list[slice]]:
+    """Return families beside those that are shown, which are held, and the rows of each; they are not compared."""
+    assert shown.stacked is not None
+    stacked, first = Stacked.of([each.new for each in families]), len(shown.score)
+    rows = [slice(first + own.start, first + own.stop) for own in stacked.groups]
+    normal = np.zeros((rows[-1].stop, rows[-1].stop))
+    normal[:first, :first], normal[:first, first:] = shown.normal, shown.stacked.across(stacked)
+    normal[first:, :first] = normal[:first, first:].T
+    for each, own in zip(families, rows, strict=True):
+        normal[own, own] = each.new.normal
+    score = np.concatenate([shown.score, *(each.new.score for each in families)])
+    held = HeldColumns(normal, score, beside.square)
+    for _, own in shown.active:
+        held.hold(own, float(shown.variance[own.start]))
+    return held, rows
 
 
 def _odds(each: FamilyTest, known: Averaged, others: _Others | None = None) -> float:

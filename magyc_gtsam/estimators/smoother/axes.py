@@ -35,6 +35,7 @@ _MATRICES = np.array(
         for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
     ]
 )
+_EVERY = np.concatenate([_MATRICES, np.zeros((1, 3, 3))])  # and without a gyroscope
 _SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s": 180 / np.pi}
 
 
@@ -68,17 +69,23 @@ def axes_words(axes: str) -> str:
 
 
 def arrangements(recording: Recording) -> list[Arrangement]:
-    """Return all signed permutations and units of the gyroscope, the best first.
+    """Return all signed permutations and units of the gyroscope, the best first."""
+    return _ranked(recording)[0]
+
+
+def _ranked(recording: Recording) -> tuple[list[Arrangement], float]:
+    """Return all arrangements, the best first, and the share that is unexplained without a gyroscope.
 
     Δm = m × Gθ − h × Gθ − m × b' Δt + c Δt is linear in h, b' = G b and c; all arrangements share one
     normal matrix of the products that occur in it.
     """
-    found = []
+    found, still = [], {}
     for unit, factor in _SCALES.items():
         change, mid, turn, step = _pairs(recording, factor)
-        left = _unexplained(_normal_matrix(change, mid, turn, step), _MATRICES)
+        *left, still[unit] = _unexplained(_normal_matrix(change, mid, turn, step), _EVERY)
         found += [Arrangement(matrix * factor, unit, share) for matrix, share in zip(_MATRICES, left, strict=True)]
-    return sorted(found, key=lambda a: a.unexplained)
+    found.sort(key=lambda a: a.unexplained)
+    return found, still[found[0].unit]
 
 
 def _normal_matrix(change: Array, mid: Array, turn: Array, step: Array) -> Array:
@@ -123,11 +130,11 @@ def check(recording: Recording) -> None:
     """
     if len(recording.magnetometer.time) < _LEAST_SAMPLES:
         return
-    ranked = arrangements(recording)
+    ranked, still = _ranked(
+        recording
+    )  # even without a gyroscope, a constant bias explains a turn at constant rate
     best = ranked[0]
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
-    # Even without a gyroscope, a constant bias explains a turn at constant rate.
-    (still,) = _unexplained(_normal_matrix(*_pairs(recording, _SCALES[best.unit])), np.zeros((1, 3, 3)))
     if best.unexplained > min(_CLEARLY * min(given.unexplained, still), _ALONE * ranked[1].unexplained):
         return
     as_given, otherwise = f"{max(1 - given.unexplained, 0):.0%}", f"{1 - best.unexplained:.0%}"

@@ -56,8 +56,8 @@ def fit_field_chain(
         options: of the smoother; None takes the options `chosen` by name, and no misalignment.
         start: θ near the minimum; no start from a part of the recording is tried.
         progress: called with the share done.
-        brief: for an auxiliary fit beside a calibration: likewise, and a descent that does not converge is abandoned
-            earlier.
+        brief: for an auxiliary fit beside a calibration: likewise, the sensors' axes are not compared once more, and a
+            descent that does not converge is abandoned earlier.
 
     Raises:
         MagycError: too few windows, inconsistent axes or units of the sensors, or, if brief, no minimum.
@@ -97,12 +97,12 @@ def fit_field_chain(
             begun = min((begin(chain, each, free, patience) for each in places), key=lambda fit: fit.reduced.cost)
         check_axes = cache(partial(axes.check, recording))  # cached: it costs as much as a few iterations
         near = descend(begun, NEAR)
-        if not near.converged:
+        if not near.converged and not brief:
             check_axes()
         best = _reintegrated(samples, near)
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
-        if not explained or level.magnetometer > 0.1 * strength(best):
+        if not brief and (not explained or level.magnetometer > 0.1 * strength(best)):
             check_axes()  # the misfit exceeds the sensors' noise: their axes may be inconsistent
         best = _adapted(samples, best, reject, short_term)
     else:

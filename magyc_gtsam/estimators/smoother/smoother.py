@@ -63,7 +63,10 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     if options.clock_drift:
         recording = restamped(recording, options.clock_drift)
     fit = fit_field_chain(recording, options, progress=report)
-    recording, fit, truncated = without_truncation(recording, fit, lambda again: fit_field_chain(again, options))
+    near = fit.state.parameters
+    recording, fit, truncated = without_truncation(
+        recording, fit, lambda again: fit_field_chain(again, options, start=near)
+    )
     unexplained = model_error(fit, recording)
     doubts = prior_contradictions(recording, options, fit, unexplained)
     calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
