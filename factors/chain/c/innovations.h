@@ -55,34 +55,26 @@ WIDE_VECTORS static void whitened_innovations(size n, size first, size stop, in_
 /* Of `some` columns from `own` on, at most TOGETHER. */
 static void innovations_together(const Filter *k, size own, size some)
 {
-    double tile[2 * STRETCH * TOGETHER], last[2 * TOGETHER] = {0}, b[4 * 2 * STRETCH];
+    double b[TOGETHER][2][STRETCH], tile[2 * STRETCH * TOGETHER] = {0}, last[2 * TOGETHER] = {0};
     double half[TOGETHER][2][STRETCH + 1] = {{{0.0}}};
     size n = k->n, m = n - 1;
-    if (some < TOGETHER)
-        memset(tile, 0, sizeof tile);
-    for (size first = 0; first < n; first += STRETCH) {
-        size stop = LEAST(n, first + STRETCH), length = stop - first;
-        for (size c = 0; c < some; c += 4) {
-            size few = LEAST(4, some - c);
-            for (size i = 0; i < few; i++) {
-                const double *x = k->window + 3 * n * (own + c + i);
-                const double *link = k->link ? k->link + 3 * m * (own + c + i) : NULL;
-                double *to = b + 2 * STRETCH * i;
-                onto_directions(n, first, stop, x, link, k->seen, k->before, k->after, to, to + STRETCH);
-            }
-            for (int a = 0; a < 2; a++)
-                into_lanes(length, few, b + a * STRETCH, 2 * STRETCH, tile + a * TOGETHER + c, 2 * TOGETHER);
-        }
-        forward_rows(first, length, k->factor, k->inverse, tile, last);
+    const double *window = k->window + 3 * n * own, *link = k->link ? k->link + 3 * m * own : NULL;
+    double *result = k->result + 3 * n * own;
+    for (size first = 0, stop; first < n; first = stop) {
+        stop = LEAST(n, first + STRETCH);
+        for (size c = 0; c < some; c++)
+            onto_directions(n, first, stop, window + 3 * n * c, link ? link + 3 * m * c : NULL, k->seen, k->before,
+                            k->after, b[c][0], b[c][1]);
         for (int a = 0; a < 2; a++)
-            from_lanes(length, some, tile + a * TOGETHER, 2 * TOGETHER, &half[0][a][1], 2 * (STRETCH + 1));
+            into_lanes(stop - first, some, b[0][a], 2 * STRETCH, tile + a * TOGETHER, 2 * TOGETHER);
+        forward_rows(first, stop - first, k->factor, k->inverse, tile, last);
+        for (int a = 0; a < 2; a++)
+            from_lanes(stop - first, some, tile + a * TOGETHER, 2 * TOGETHER, &half[0][a][1], 2 * (STRETCH + 1));
         for (size c = 0; c < some; c++) {
-            const double *x = k->window + 3 * n * (own + c);
-            const double *link = k->link ? k->link + 3 * m * (own + c) : NULL;
-            whitened_innovations(n, first, stop, x, link, k->whitener, k->from_half, k->from_link, half[c][0],
-                                 half[c][1], k->result + 3 * n * (own + c));
-            half[c][0][0] = half[c][0][length];
-            half[c][1][0] = half[c][1][length];
+            whitened_innovations(n, first, stop, window + 3 * n * c, link ? link + 3 * m * c : NULL, k->whitener,
+                                 k->from_half, k->from_link, half[c][0], half[c][1], result + 3 * n * c);
+            for (int a = 0; a < 2; a++)
+                half[c][a][0] = half[c][a][stop - first];
         }
     }
 }
