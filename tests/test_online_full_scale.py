@@ -173,6 +173,16 @@ def test_coarse_noisy_sensors_are_not_taken_for_cut_off() -> None:
             assert find_clipped(coarse) is None, (seed, step)
 
 
+def test_a_gyroscope_that_begins_at_rest_in_steps_is_not_cut_off_at_zero() -> None:
+    """An axis that rests at zero and then turns one way only; it was said to be cut off at 0 rad/s, as in BROAD 35."""
+    recording = mg.simulate("wide", 120, rate=100.0, seed=3).recording
+    rate = np.trunc(recording.angular_rate / 2e-3) * 2e-3
+    rate[:, 2] = -np.abs(rate[:, 2]) - 8e-3
+    for first in (0, 900, 2000, 5000):
+        rate[first : first + 60, 2] = 0.0
+    assert find_clipped(replace(recording, angular_rate=rate)) is None
+
+
 def test_a_turn_at_one_rate_without_noise_is_not_cut_off() -> None:
     time = np.arange(0, 300, 0.1)
     even = np.where((time // 50) % 2 == 0, 0.3, 0.0)[:, None] * [0.0, 0.0, 1.0]

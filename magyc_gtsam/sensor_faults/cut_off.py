@@ -16,7 +16,7 @@ MOST = 0.5  # largest share of the recording that may be left out
 _HOLE = 12
 _HOLE_DURATION = 0.6
 _STAMPS = 33  # samples needed for the median step; nothing is decided before
-_ROUNDING = 1e-9  # rad/s, below the step of any gyroscope: what a change of axes or units leaves of a zero
+ROUNDING = 1e-9  # rad/s, below the step of any gyroscope: what a change of axes or units leaves of a zero
 _LONGEST_RUN = 100  # samples at the largest value that are held back; a longer run is left to `stuck`
 
 
@@ -92,7 +92,7 @@ class CutOff:
         self._stamps = np.append(self._stamps, time[: _STAMPS - len(self._stamps)])
         change = np.abs(np.diff(value, axis=0, prepend=self._last[None]))
         moved = np.asarray((change > 0).any(axis=1))
-        smallest = np.where(change > _ROUNDING, change, np.inf).min(axis=1)
+        smallest = np.where(change > ROUNDING, change, np.inf).min(axis=1)
         step = np.minimum(np.minimum.accumulate(smallest), self._step)
         high, low = value.max(axis=0).tolist(), value.min(axis=0).tolist()
         far = [

@@ -12,6 +12,7 @@ from magyc_gtsam.recording import Array
 
 _BAND = 30  # steps of the sensor below the largest value that count as near it
 LEAST = 5  # samples at exactly the largest value, some of them consecutive
+LEAST_STEPS = 100  # of the sensor up to a full scale: a converter of 8 bits has 127 on either side
 _STEEP = 3.0  # steps of the sensor between the largest value and a neighbour; a turn that levels off is less steep
 _CHANCE = 1e-7  # probability of so many samples at the largest value if all values of the band are equally likely
 _EVEN = 0.9  # share of repeats from which the whole recording is taken to turn at constant rates (a simulation)
@@ -97,7 +98,7 @@ class LargestValue:
             return None
         levels = self._follow(x)
         counts, away = self._count(x, change, moved, step, levels)
-        possible = allowed & _may_be_full_scale(levels, counts, away)
+        possible = allowed & (levels.level >= LEAST_STEPS * step) & _may_be_full_scale(levels, counts, away)
         self._count_earlier(x, step, levels, counts, possible)
         sure = np.zeros(len(x), dtype=bool)
         # Binomial tail, with all values in the band equally likely.

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.factors.chain import compiled
-from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.sensor_faults import full_scale, largest_value, stuck
+from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.sensor_faults import cut_off, full_scale, largest_value, stuck
+from magyc_gtsam.sensor_faults.single_samples import ZeroRates
 from magyc_gtsam.sensor_faults.spikes import has_spikes
 from magyc_gtsam.sensor_faults.stuck_bit import stuck_bit
 
@@ -21,9 +22,9 @@ def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
     """Return whether any of the detectors could find a fault in the named sensors' samples."""
     field = recording.magnetometer.value
     turns = recording.angular_rate is not None and "angular_rate" in sensors
-    if _repeats(recording) or _field_stands_out(field) or (turns and _rate_stands_out(recording.gyroscope.value)):
+    if _repeats(recording) or _field_stands_out(field) or (turns and _rate_stands_out(recording.gyroscope)):
         return True
-    # Last, since the test is the detector's own.
+    # Last, since these are the detector's own tests.
     return stuck_bit(field) is not None or (
         turns and stuck_bit(recording.gyroscope.value, "angular_rate") is not None
     )
@@ -34,9 +35,19 @@ def _field_stands_out(field: Array) -> bool:
     return seen.zeros or seen.stuck or seen.at_extreme > max(full_scale.LEAST, full_scale.MOST * len(field))
 
 
-def _rate_stands_out(rate: Array) -> bool:
+def _rate_stands_out(gyroscope: Samples) -> bool:
+    rate = gyroscope.value
     seen = _seen(rate)
-    return seen.zeros or seen.stuck or (seen.again and any(map(_levels_off, rate.T))) or has_spikes(rate)
+    if seen.stuck or (seen.again and _levels_off(rate)) or has_spikes(rate):
+        return True
+    return seen.zeros and _has_placeholders(gyroscope)
+
+
+def _has_placeholders(gyroscope: Samples) -> bool:
+    """Return whether zeros stand for no value; a gyroscope at rest that counts in steps has others."""
+    zeros = ZeroRates()
+    zeros.observe(gyroscope)
+    return zeros.finding() is not None
 
 
 class _Seen(NamedTuple):
@@ -80,14 +91,17 @@ def _repeats(recording: Recording) -> bool:
     return bool(np.diff(edges).max() > stuck.LEAST_SAMPLES)
 
 
-def _levels_off(axis: Array) -> bool:
-    """Return whether an axis (n,) repeats its largest value so far consecutively and often, as when cut off."""
-    return bool((axis[1:] == axis[:-1]).any()) and any(_repeats_largest(side) for side in (axis, -axis))
+def _levels_off(rate: Array) -> bool:
+    """Return whether an axis of rates (n, 3) repeats its largest value so far at once and often, as when cut off."""
+    change = np.abs(np.diff(rate, axis=0))
+    least = largest_value.LEAST_STEPS * float(change.min(where=change > cut_off.ROUNDING, initial=np.inf))
+    again = (change == 0).any(axis=0)
+    return any(_repeats_largest(side, least) for axis in rate.T[again] for side in (axis, -axis))
 
 
-def _repeats_largest(side: Array) -> bool:
+def _repeats_largest(side: Array, least: float) -> bool:
     largest = np.maximum.accumulate(side)
-    again = side[1:] == largest[:-1]  # samples at the largest value so far
+    again = (side[1:] == largest[:-1]) & (side[1:] >= least)  # samples at the largest value so far
     if np.count_nonzero(again) < largest_value.LEAST - 1:
         return False
     often = np.unique(largest[1:][again], return_counts=True)[1]
