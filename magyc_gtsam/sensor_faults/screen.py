@@ -12,8 +12,9 @@ import numpy as np
 
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.recording import Array, Recording, Samples
-from magyc_gtsam.sensor_faults import cut_off, full_scale, largest_value, stuck
-from magyc_gtsam.sensor_faults.single_samples import ZeroRates
+from magyc_gtsam.sensor_faults import full_scale, largest_value, stuck
+from magyc_gtsam.sensor_faults.cut_off import ROUNDING
+from magyc_gtsam.sensor_faults.single_samples import has_placeholders
 from magyc_gtsam.sensor_faults.spikes import has_spikes
 from magyc_gtsam.sensor_faults.stuck_bit import stuck_bit
 
@@ -38,16 +39,8 @@ def _field_stands_out(field: Array) -> bool:
 def _rate_stands_out(gyroscope: Samples) -> bool:
     rate = gyroscope.value
     seen = _seen(rate)
-    if seen.stuck or (seen.again and _levels_off(rate)) or has_spikes(rate):
-        return True
-    return seen.zeros and _has_placeholders(gyroscope)
-
-
-def _has_placeholders(gyroscope: Samples) -> bool:
-    """Return whether zeros stand for no value; a gyroscope at rest that counts in steps has others."""
-    zeros = ZeroRates()
-    zeros.observe(gyroscope)
-    return zeros.finding() is not None
+    cut_off = seen.again and _levels_off(rate)
+    return seen.stuck or cut_off or has_spikes(rate) or (seen.zeros and has_placeholders(gyroscope))
 
 
 class _Seen(NamedTuple):
@@ -94,7 +87,7 @@ def _repeats(recording: Recording) -> bool:
 def _levels_off(rate: Array) -> bool:
     """Return whether an axis of rates (n, 3) repeats its largest value so far at once and often, as when cut off."""
     change = np.abs(np.diff(rate, axis=0))
-    least = largest_value.LEAST_STEPS * float(change.min(where=change > cut_off.ROUNDING, initial=np.inf))
+    least = largest_value.LEAST_STEPS * float(change.min(where=change > ROUNDING, initial=np.inf))
     again = (change == 0).any(axis=0)
     return any(_repeats_largest(side, least) for axis in rate.T[again] for side in (axis, -axis))
 

@@ -129,26 +129,13 @@ class ZeroRates(SingleSamples):
         if zero.any():
             before = np.full(carried, self._step)
             step = np.append(before, np.minimum(np.minimum.accumulate(steps.min(axis=1)), self._step))
-            self.found(self._placeholders(rows, zero, step), len(block.time))
+            self.found(_placeholders(rows, zero, step), len(block.time))
         else:
             self.found(block.time[:0], len(block.time))
         self._step, self._largest = float(steps.min(initial=self._step)), float(largest[-1])
         last = int(np.flatnonzero(~zero)[-1])
         self._open = rows[last : last + _LONGEST_RUN + 2].copy()
         self.pending = float(self._open[1, 0]) if 0 < len(self._open) - 1 <= _LONGEST_RUN else np.inf
-
-    def _placeholders(self, rows: Array, zero: np.ndarray, step: Array) -> Array:
-        """Return the stamps of the placeholders among rows (n, 4) that are `zero` (n,), with the steps (n,) so far."""
-        first, after = np.flatnonzero(np.diff(zero, append=False)).reshape(-1, 2).T + 1
-        over = (after < len(rows)) & (after - first <= _LONGEST_RUN)
-        first, after = first[over], after[over]
-        before, behind = rows[first - 1, 1:], rows[after, 1:]
-        apart = np.where(before * behind > 0, np.minimum(np.abs(before), np.abs(behind)), 0.0).max(axis=1)
-        far = apart > _BESIDE * step[after]
-        inside = np.zeros(len(rows), dtype=int)
-        inside[first[far]], inside[after[far]] = 1, -1
-        stamps: Array = rows[np.cumsum(inside) > 0, 0]
-        return stamps
 
     def state(self) -> Mapping[str, Array]:
         """Return the state for `restore`."""
@@ -159,3 +146,29 @@ class ZeroRates(SingleSamples):
         super().restore(state)
         self._open = state["open"]
         self._step, self._largest = (float(v) for v in state["numbers"])
+
+
+def has_placeholders(gyroscope: Samples) -> bool:
+    """Return whether zeros of a gyroscope stand for no value; one at rest that counts in steps has others."""
+    rows = np.column_stack(gyroscope)
+    zero = np.asarray(~gyroscope.value.any(axis=1))
+    zero[0] = False
+    if not zero.any():
+        return False
+    change = np.abs(np.diff(gyroscope.value, axis=0))
+    step = change.min(where=change > _ROUNDING * np.abs(gyroscope.value).max(), initial=np.inf)
+    return len(_placeholders(rows, zero, np.full(len(rows), step))) > 0
+
+
+def _placeholders(rows: Array, zero: np.ndarray, step: Array) -> Array:
+    """Return the stamps of the placeholders among rows (n, 4) that are `zero` (n,), with the steps (n,) so far."""
+    first, after = np.flatnonzero(np.diff(zero, append=False)).reshape(-1, 2).T + 1
+    over = (after < len(rows)) & (after - first <= _LONGEST_RUN)
+    first, after = first[over], after[over]
+    before, behind = rows[first - 1, 1:], rows[after, 1:]
+    apart = np.where(before * behind > 0, np.minimum(np.abs(before), np.abs(behind)), 0.0).max(axis=1)
+    far = apart > _BESIDE * step[after]
+    inside = np.zeros(len(rows), dtype=int)
+    inside[first[far]], inside[after[far]] = 1, -1
+    stamps: Array = rows[np.cumsum(inside) > 0, 0]
+    return stamps
