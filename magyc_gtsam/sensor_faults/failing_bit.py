@@ -61,13 +61,21 @@ def failing_bit(steps: Array, rules: FailingRules = RULES) -> int:
         return 0
     off = steps[_WIDEST:-_WIDEST] - _median(steps, _BESIDE)
     scatter = max(float(np.median(np.abs(off))) / _NORMAL, _ROUNDING)
-    level, most = _median(steps, _AROUND), np.ptp(steps)
-    best, found, worth = rules.significant, 0, 2
+    enough = (
+        2 * rules.often * rules.both * len(off)
+    )  # readings that stand out in the rarer kind of stretch, at least
+    worths, most, size = [], np.ptp(steps), np.abs(off)
+    worth = 2
     while worth <= most:
-        if worth >= rules.noises * scatter and (significance := _significance(off, level, worth, rules)) > best:
-            best, found = significance, worth
+        if worth >= rules.noises * scatter and np.count_nonzero(_stands(size, worth, rules)) >= enough:
+            worths.append(worth)
         worth *= 2
-    return found
+    if not worths:
+        return 0
+    level = _median(steps, _AROUND)
+    found = [_significance(off, level, worth, rules) for worth in worths]
+    best = int(np.argmax(found))
+    return worths[best] if found[best] > rules.significant else 0
 
 
 def _has_outliers(steps: Array, rules: FailingRules) -> bool:
@@ -95,8 +103,7 @@ def _significance(off: Array, level: Array, worth: int, rules: FailingRules) -> 
         worth: steps, length of a stretch.
         rules: the limits.
     """
-    nearest, farthest = (share * worth for share in rules.off)
-    stands = np.flatnonzero((np.abs(off) > nearest) & (np.abs(off) < farthest))
+    stands = np.flatnonzero(_stands(np.abs(off), worth, rules))
     parts = min(rules.parts, 2 * worth)
     part = (level % (2 * worth) * (parts / (2 * worth))).astype(np.int64)
     every = _in_halves(np.bincount(part, minlength=parts))
@@ -108,6 +115,12 @@ def _significance(off: Array, level: Array, worth: int, rules: FailingRules) -> 
     possible = (every.min(axis=0) >= rules.both * len(level)) & (differs >= 2 * rules.often)
     possible &= upwards[0] - upwards[1] >= rules.alike * len(stands)
     return float(np.where(possible, differs / np.sqrt(variance.sum(axis=0)), 0.0).max())
+
+
+def _stands(size: Array, worth: int, rules: FailingRules) -> np.ndarray:
+    """Return (n,) whether readings of a distance (n,) from their neighbours are off by about what a bit is worth."""
+    nearest, farthest = (share * worth for share in rules.off)
+    return (size > nearest) & (size < farthest)
 
 
 def _in_halves(counts: np.ndarray) -> Array:
