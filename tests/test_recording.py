@@ -200,7 +200,8 @@ def test_streams_keep_every_stamp_and_bit(mag_time, gyro_time, seed):
     np.testing.assert_array_equal(recording.gyroscope.time, gyro_time[both[1]])
     np.testing.assert_array_equal(recording.gyroscope.value, gyro[both[1]])
     left_out = int(sum((~inside).sum() for inside in both))
-    note = f"{left_out} samples outside the time that both sensors cover were left out"
+    some = "1 sample" if left_out == 1 else f"{left_out} samples"
+    note = f"{some} outside the time that both sensors cover {'was' if left_out == 1 else 'were'} left out"
     assert recording.notes == ((note,) if left_out else ())
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import counted
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.recording.checks import (
     Array,
     check_ascending,
@@ -79,7 +80,7 @@ def unite(
         "magnetic_field_stamped": mag_stamped,
         "angular_rate_fresh": np.ones(len(time), dtype=bool),
         "channels": {},
-        "notes": (f"{cut} samples outside the time that both sensors cover were left out",) if cut else (),
+        "notes": (_left_out(cut),) if cut else (),
     }
     if "angular_rate" in clean:
         result["notes"] += _clocks_apart(mag_time, clean["angular_rate"][0])
@@ -131,6 +132,11 @@ def _pair(name: str, stream: Any) -> tuple[ArrayLike, ArrayLike]:
             f"{name}: must be the pair (time, values), got {got}; for sensors of one clock use Recording"
         )
     return stream[0], stream[1]
+
+
+def _left_out(count: int) -> str:
+    were = "was" if count == 1 else "were"
+    return f"{counted(count, 'sample')} outside the time that both sensors cover {were} left out"
 
 
 def _clocks_apart(magnetometer: Array, gyroscope: Array) -> tuple[str, ...]:

@@ -179,7 +179,7 @@ COARSE = ColumnFamily(
     octaves=2,
 )
 PHYSICAL = (
-    ColumnFamily("bend", "the reading bends by {} of the field", _bend, _BEND, prior=LIKELY, octaves=3),
+    ColumnFamily("bend", "the reading bends by {}", _bend, _BEND, prior=LIKELY, octaves=3),
     ColumnFamily(
         "dead zone",
         "the reading jumps by {} about zero",
