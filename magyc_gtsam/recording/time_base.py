@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import counted
-from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.recording.checks import (
     Array,
     check_ascending,
