@@ -401,7 +401,7 @@ def test_damage_costs_itself(tmp_path: Path) -> None:
     kept = np.isin(np.round(good.time * 1e6), np.round(bad.magnetometer.time * 1e6))
     np.testing.assert_array_equal(good.magnetic_field[kept], bad.magnetometer.value)
     assert any("27 bytes belong to no message" in n for n in bad.notes)
-    assert any("1 messages have impossible times" in n for n in bad.notes)
+    assert any("1 message with impossible times left out" in n for n in bad.notes)
 
 
 def test_random_damage_is_refused_or_costs_itself(tmp_path: Path) -> None:

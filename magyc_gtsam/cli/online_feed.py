@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.online.intake import ClockSetBack
 from magyc_gtsam.recording import Samples
@@ -95,7 +96,11 @@ class Feed:
         unused = self.unused
         if not unused:
             return ""
-        which = f"the last {unused} samples are not" if self.taken else f"none of the {unused} samples is"
+        which = (
+            f"the last {counted(unused, 'sample')} {'is' if unused == 1 else 'are'} not"
+            if self.taken
+            else f"none of the {unused} samples is"
+        )
         return (
             f"{which} used: their stamps lie before the end of the saved state "
             f"({max(self._until):.3f} s); if this is another log or clock, begin a new --state"

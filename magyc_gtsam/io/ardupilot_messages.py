@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.io import dataflash
 from magyc_gtsam.io.dataflash import Dataflash
 from magyc_gtsam.io.dataflash_types import TIMES
@@ -102,7 +103,7 @@ def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: 
     if fields is None:
         fields = dict.fromkeys(log.kinds, ())
     notes += [
-        f"{kind}: {count} messages left out, whose format does not fit their length"
+        f"{kind}: {counted(count, 'message')} left out, whose format does not fit the length"
         for kind, count in log.misfits.items()
         if kind in fields
     ]
@@ -148,7 +149,7 @@ def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: 
                 samples[key] = InstanceSamples(label(key), stamp[rows], columns, which, boot)
         request.report(0.3 + 0.7 * (done + 1) / len(present))
     if impossible:
-        notes.append(f"{impossible} messages have impossible times and were left out")
+        notes.append(f"{counted(impossible, 'message')} with impossible times left out")
     boot = np.searchsorted(log.boots, np.append(-1, changes), side="right")
     last = np.searchsorted(boot, boot, side="right") - 1
     return ArduPilotLog(samples, parameters, last, tuple(notes))

@@ -98,7 +98,7 @@ def sqlite_records(
                 done += len(rows)
                 report(done / max(count, 1))
             if damaged:
-                notes.append(f"{damaged} of {done} messages are damaged and were left out")
+                notes.append(f"{damaged} of {done} messages damaged and left out")
     except MemoryError:  # how sqlite3 reports a record whose length cannot be; nothing of that size was asked for
         notes.append("the bag is damaged (a record of an impossible length)")
     except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:

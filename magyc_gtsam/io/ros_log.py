@@ -11,7 +11,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.foreign_text import listed
+from magyc_gtsam.foreign_text import counted, listed
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.mcap_compression import allowance
 from magyc_gtsam.io.mcap_records import CALIBRATED_TOPIC, Block
@@ -109,7 +109,7 @@ def collected(
     count = sum(t.count for t in topics.values())
     if not count:
         raise MagycError(f"{path}: holds no message that can be read{': ' if notes else ''}{'; '.join(notes)}")
-    return RosLog(topics, metadata, tuple(f"{n}; {count} messages could be read" for n in notes))
+    return RosLog(topics, metadata, tuple(f"{n}; {counted(count, 'message')} could be read" for n in notes))
 
 
 def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tuple[dict[str, Stream], set[str]]:

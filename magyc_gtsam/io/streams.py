@@ -161,7 +161,7 @@ def _clean(stream: Stream, role: str, notes: list[str], repeated: str, in_tesla:
     late = int((np.diff(stream.stamp) < 0).sum())
     if late:
         stream = stream.rows(np.argsort(stream.stamp, kind="stable"))
-        notes.append(f"{stream.name}: {late} samples were out of order and were sorted by their stamps")
+        notes.append(f"{stream.name}: {counted(late, 'sample')} out of order, sorted by the stamps")
     return _without_repeats(stream, notes, repeated)
 
 

@@ -256,7 +256,9 @@ FAMILIES = (
     ),
     ColumnFamily("attitude", _GOES, attitude, 0.03, 9, stage=1, of_place=True, prior=SELDOM),
     ColumnFamily("tilt", _LEANS, tilt, 0.03, 3, stage=1),
-    ColumnFamily("skew", "the chips' axes are misaligned, which puts the reading off by {}", _skew, 0.035, 2, stage=1),
+    ColumnFamily(
+        "skew", "the chips' axes are misaligned, which puts the reading off by {}", _skew, 0.035, 2, stage=1
+    ),
     ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5),
     ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, stage=1),
     ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
