@@ -13,6 +13,7 @@ from scipy.stats import multivariate_normal
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES, TERMS
+from magyc_gtsam.gap.effects.term import NEARBY
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Batch, Candidates
@@ -360,7 +361,13 @@ def test_a_drift_is_a_line_or_slow(duration: int, orders: list[int], constants: 
     assert [one["order"] for one in settings if "constant" not in one] == orders
     assert [one["constant"] for one in settings if "constant" in one] == pytest.approx(constants, rel=0.05)
     for one in settings:
-        assert ["constant" in near for near in TERMS[DRIFT].refined(twin, one)] == [True] * 5 * ("constant" in one)
+        near = TERMS[DRIFT].refined(twin, one)
+        if "constant" in one:
+            assert [each["constant"] for each in near] == [c for c in one["constant"] * np.array(NEARBY) if c >= 6]
+        elif one["order"] == 0 and constants:
+            assert near == [one, one | {"constant": pytest.approx(constants[-1], rel=0.05)}]
+        else:
+            assert not near
 
 
 @pytest.mark.parametrize("seed", [0, 7])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.gap.effects import iron
 from magyc_gtsam.gap.evidence import node as nodes
 from magyc_gtsam.gap.evidence import tree as trees
 from magyc_gtsam.gap.evidence.candidates import DRIFT
@@ -21,6 +24,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model import field_variation as variations
 from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit
 
 
@@ -140,18 +144,104 @@ def test_candidates_that_the_linear_model_does_not_order_are_fitted(monkeypatch:
     assert more.best.log == usual.best.log
 
 
+def whole_grid(
+    log_of: Callable[[tuple[int, int]], float], _: tuple[int, int], courses: int, shares: int
+) -> tuple[int, int]:
+    count = 1 + courses * len(variations._AMPLITUDES)
+    return max(((place, share) for place in range(count) for share in range(shares)), key=log_of)
+
+
+def with_attitude() -> mg.Recording:
+    """A field that varies with attitude more than along the way, as where an arm turns the sensor."""
+    base = mg.simulate("wide", 120, seed=3).recording
+    assert base.attitude is not None
+    to_world = Rotation.from_quat(base.attitude)
+    heading = to_world.as_euler("zyx")[:, 0]
+    world = 1e-6 * np.stack([np.sin(2 * heading), np.cos(3 * heading), np.sin(heading)], axis=1)
+    walk = np.random.default_rng(3).standard_normal((9, 3))
+    world += 0.3e-6 * PchipInterpolator(np.arange(9) * 16.0, walk)(base.time - base.time[0])
+    return replace(base, magnetic_field=base.magnetic_field + to_world.inv().apply(world))
+
+
+@pytest.mark.parametrize("log", [drifting, with_attitude])
 @pytest.mark.parametrize("coloured", [False, True])
 @pytest.mark.parametrize("in_world", [False, True])
 def test_the_climb_over_amplitudes_ends_where_the_whole_grid_does(
-    monkeypatch: pytest.MonkeyPatch, in_world: bool, coloured: bool
+    monkeypatch: pytest.MonkeyPatch, in_world: bool, coloured: bool, log: Callable[[], mg.Recording]
 ) -> None:
-    twin = base_of(drifting()).twin
+    twin = base_of(log()).twin
     climbed = variations.field_variation(twin, in_world, coloured)
-    count = len(variations._AMPLITUDES)
-    monkeypatch.setattr(
-        variations, "_climbed", lambda log_of, _, courses: max(range(1 + courses * count), key=log_of)
-    )
+    monkeypatch.setattr(variations, "_climbed", whole_grid)
     whole = variations.field_variation(twin, in_world, coloured)
     assert climbed.gain == pytest.approx(whole.gain)
     assert (climbed.along, climbed.attitude, climbed.period) == (whole.along, whole.attitude, whole.period)
     assert (climbed.colour, climbed.colour_period) == (whole.colour, whole.colour_period)
+
+
+def test_the_amplitude_along_the_way_is_climbed_with_that_of_the_attitude_as_it_is() -> None:
+    """On a ridge of one amplitude of the attitude, as in rooms, neither amplitude nor share alone leads on."""
+
+    def log_of(here: tuple[int, int]) -> float:
+        amplitude, share = (here[0] - 1) // 3, here[1]
+        return -10.0 * abs(amplitude + share - 4) - share - (here[0] - 1) % 3 if here[0] else -99.0
+
+    assert variations._climbed(log_of, (1 + 3 * 1, 3), 3, 4) == (1 + 3 * 4, 0)
+
+
+def test_what_is_evident_is_added_before_effects_are_exchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And once more afterwards, since an exchange leaves sets that may become better."""
+    tree = Tree(base_of(drifting()), (DRIFT, "timing"))
+    said, better = list[str](), iter([True, False, True, False, False, False])
+
+    def step(name: str) -> Callable[[Tree], bool]:
+        return lambda self: said.append(name) or next(better)
+
+    monkeypatch.setattr(Tree, "_deepened", step("more"))
+    monkeypatch.setattr(Tree, "_exchanged", step("other"))
+    tree.complete()
+    assert said == ["more", "more", "other", "more", "other", "more"]
+
+
+def test_what_was_added_to_a_set_is_added_to_one_that_is_as_probable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The linear model tells the gain beside another name to some nats only."""
+    names, jump = (DRIFT, "timing", "hard-iron-step"), "hard-iron-step"
+    for alike, wanted in ((0.0, False), (1e6, True)):
+        tree = completed(base_of(drifting()), names)
+        assert tree.best.key == (DRIFT, "timing")
+        bare = tree.nodes[()]
+        rival = tree._child(bare, bare.found[jump])
+        assert rival is not None
+        tree.nodes = {one.key: one for one in (bare, tree.nodes[(DRIFT,)], rival, tree.best)}
+        monkeypatch.setattr(trees, "PRIOR", replace(PRIOR, alike=alike))
+        tree._deepened()
+        assert ((jump, "timing") in tree.nodes) is wanted
+        monkeypatch.undo()
+
+
+def test_settings_are_refined_within_the_range_that_is_searched() -> None:
+    """A drift that is over in a second is a change; a current that is a minute late is any function of time."""
+    twin = base_of(drifting()).twin
+    line = iron.drifts(twin)[0]
+    constants, lags = {7.0}, {3.0}
+    for _ in range(6):
+        constants |= {
+            s["constant"] for each in constants for s in iron.warming_nearby(twin, line | {"constant": each})
+        }
+        lags |= {s["lag"] for each in lags for s in iron._circuits_nearby(twin, {"lag": each})}
+    assert 6.0 <= min(constants) < 7.0
+    assert 0.5 <= min(lags) < 1.0
+    assert 3.0 < max(lags) <= 6.0
+
+
+def test_a_straight_line_becomes_the_course_of_what_warms_up_at_the_minimum() -> None:
+    """Beside no other effect it is as probable; what it leaves was named a drift of the hard iron."""
+    base = mg.simulate("wide", 120, seed=4).recording
+    since = base.time - base.time[0]
+    warmed = 1 + np.array([0.05, -0.04, 0.04]) * (1 - np.exp(-since / 40.0))[:, None]
+    first = base_of(replace(base, magnetic_field=base.magnetic_field * warmed))
+    fits = JointFits.of(first, ("gain-drift",))
+    line = Active("gain-drift", iron.drifts(first.twin)[0], np.zeros(3))
+    fit = fits.fit(replace(first.model, terms=(line,)), first.twin)
+    assert fit is not None
+    node = fits.settled(fits.node(("gain-drift",), fit, 0.0))
+    assert 20.0 < node.fit.model.terms[0].setting["constant"] < 80.0

@@ -59,8 +59,10 @@ def lagging_circuits(twin: Twin) -> list[dict[str, float]]:
 
 
 def _circuits_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    """Return lags between and beyond those of `lagging_circuits`."""
-    return [dict(setting) | {"lag": setting["lag"] * share} for share in (NEARBY if "lag" in setting else ())]
+    """Return lags between those of `lagging_circuits`, and up to an octave beyond."""
+    shortest, longest = NEARBY[0] * _CIRCUIT_LAGS[0], NEARBY[-1] * _CIRCUIT_LAGS[-1]
+    lags = [setting["lag"] * share for share in (NEARBY if "lag" in setting else ())]
+    return [dict(setting) | {"lag": lag} for lag in lags if shortest <= lag <= longest]
 
 
 def lagged(twin: Twin) -> list[dict[str, float]]:
@@ -137,10 +139,18 @@ def drifts(twin: Twin) -> list[dict[str, float]]:
 
 
 def warming_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    """Return time constants between and beyond those of `drifts`."""
-    return [
-        dict(setting) | {"constant": setting["constant"] * s} for s in (NEARBY if "constant" in setting else ())
-    ]
+    """Return time constants between and beyond those of `drifts`, and the longest of them beside a straight line.
+
+    What is over at once is a change and no drift.
+    """
+    if "constant" in setting:
+        constants = [setting["constant"] * share for share in NEARBY]
+    elif setting["order"] == 0:
+        constants = [_WARMING[-1] * (setting["end"] - setting["start"])]
+    else:
+        return []
+    warming = [dict(setting) | {"constant": each} for each in constants if 2 * each >= RULES.drift_period]
+    return warming if "constant" in setting or not warming else [dict(setting), *warming]
 
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:

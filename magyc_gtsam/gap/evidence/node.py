@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -226,6 +227,11 @@ class Node:
     def has_one_more_than(self, other: Node) -> bool:
         """Return whether the set is another one with one more name."""
         return any(self.key_without(name) == other.key for name in self.key)
+
+    def differs_by_one_from(self, other: Node) -> bool:
+        """Return whether the set is another one with one name in place of another."""
+        mine, theirs = Counter(self.names), Counter(other.names)
+        return (mine - theirs).total() == 1 == (theirs - mine).total()
 
     def full(self, name: str) -> bool:
         """Return whether the set contains an effect as often as it may, or a special or a general case of it."""

@@ -70,8 +70,12 @@ class Tree:
         self._grow(first)
 
     def complete(self) -> None:
-        """Add the sets in which effects are exchanged for rivals, and one more to those that may become better."""
-        while self._exchanged() or self._deepened():
+        """Add the sets in which effects are exchanged for rivals, and one more to those that may become better.
+
+        What is evident beside the best set is added first: exchanges beside a set that lacks it are of no use, and may
+        be as many as there are sets to be fitted.
+        """
+        while self._deepened() or self._exchanged() or self._deepened():
             pass
 
     @property
@@ -162,18 +166,25 @@ class Tree:
     def _deepened(self) -> bool:
         """Add one more effect to the best set, and to those that may become better; return whether one is.
 
-        Candidates that are as probable in the linear model as one that was added are fitted, too.
+        Candidates that are as probable in the linear model as one that was added are fitted, too, and what was added to
+        a set is added to one that differs by one name and is as probable.
         """
         best = self.best
+        parents = {name: self.nodes.get(best.key_without(name)) for name in best.names}
         for node in [each for each in self.nodes.values() if len(each.fit.model.terms) < PRIOR.depth]:
             added = [each for each in node.found.values() if node.key_with(each.name) == best.key]
+            beside = {name for name, one in parents.items() if one is not None and _as_probable(node, one)}
             for option in self._options(node):
                 ahead = node is best or node.log + option.log + PRIOR.named > best.log
                 alike = any(option.log > other.log - PRIOR.alike for other in added)
-                if self._full or not (alike if added else ahead):
+                if self._full:
                     break
+                if not (option.name in beside or (alike if added else ahead)):
+                    continue
                 if self._fitted(node, option) is not None:
                     added.append(option)
+                if self.best.log > best.log + PRIOR.close:  # which is extended first, before the sets are too many
+                    return True
         return self.best is not best
 
     def _options(self, node: Node, instead_of: str | None = None) -> Iterator[Weighed]:
@@ -268,3 +279,8 @@ class Tree:
                     break
                 best = child
         return best if best.log < self.best.log - PRIOR.close else self.fits.settled(best)
+
+
+def _as_probable(node: Node, other: Node) -> bool:
+    """Return whether a set differs from another one by one name and is about as probable."""
+    return node.differs_by_one_from(other) and node.log > other.log - PRIOR.alike
