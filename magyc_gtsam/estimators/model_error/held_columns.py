@@ -24,7 +24,9 @@ class HeldColumns:
     """
 
     def __init__(self, normal: Array, score: Array, square: float) -> None:
-        self._table = np.block([[normal, score[:, None]], [score[None], np.array([[square]])]])
+        self._table = np.empty((len(score) + 1,) * 2)
+        self._table[:-1, :-1], self._table[:-1, -1], self._table[-1, :-1] = normal, score, score
+        self._table[-1, -1] = square
         self._variance: dict[tuple[int, int], float] = {}
         self._least = _ROUNDING * square
 
