@@ -169,7 +169,7 @@ class GyroscopeTrack:
         return np.cumsum(np.concatenate([[self.squared_time_before], squared]))
 
     def motion_at(self, when: Array) -> tuple[Spinor, Array, Array]:
-        """Return R as spinors (n,), K (9, n) in s, and the rate (n, 3) in rad/s less the bias, as below."""
+        """Return R as spinors (n,), K (9, n) and the rate (n, 3), as `rotation_at` and `lever_at` do."""
         if compiled.loops is None:
             rotation, rate = self.rotation_at(when)
             return rotation, self.lever_at(when), rate

@@ -61,9 +61,8 @@ def failing_bit(steps: Array, rules: FailingRules = RULES) -> int:
         return 0
     off = steps[_WIDEST:-_WIDEST] - _median(steps, _BESIDE)
     scatter = max(float(np.median(np.abs(off))) / _NORMAL, _ROUNDING)
-    enough = (
-        2 * rules.often * rules.both * len(off)
-    )  # readings that stand out in the rarer kind of stretch, at least
+    # Readings that stand out in the rarer kind of stretch, at least.
+    enough = 2 * rules.often * rules.both * len(off)
     worths, most, size = [], np.ptp(steps), np.abs(off)
     worth = 2
     while worth <= most:

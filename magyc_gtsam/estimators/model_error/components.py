@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dsyevd
 
-from magyc_gtsam.estimators.model_error.held_columns import HeldColumns
+from magyc_gtsam.estimators.model_error.held_columns import ROUNDING, HeldColumns
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
@@ -54,7 +54,6 @@ def principal(normal: Array, score: Array) -> PrincipalAxes:
 
 
 _VARIANCE_GRID = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
-_ROUNDING = 1e-9  # least share of yᵀy that columns leave; beside a poor fit they could explain more than all of it
 _SWEEPS = 3  # most sweeps over the groups
 _CONVERGED = 0.1  # relative change of a variance below which it has converged
 _LEAST_GAIN = 3.0  # gain in log-likelihood that a group must have beside the others
@@ -112,14 +111,14 @@ def log_likelihoods(
     value, pull = (np.concatenate(each) for each in ([g.value for g in groups], [g.pull for g in groups]))
     if compiled.loops:
         result = np.empty(variance.shape), np.empty(variance.shape)
-        count, rules = np.array(sizes, dtype=np.int64), np.array([square, freedom, _ROUNDING * square])
+        count, rules = np.array(sizes, dtype=np.int64), np.array([square, freedom, ROUNDING * square])
         inputs = map(compiled.given, (count, value, pull, variance, rules))
         compiled.loops.log_likelihoods(variance.shape[1], *inputs, *result)
         return result
     first = np.cumsum([0, *sizes[:-1]])
     spread = 1 + np.repeat(variance, sizes, axis=0) * value[:, None]  # every axis of every group, (K, m)
     explained = np.add.reduceat(pull[:, None] ** 2 / spread, first)
-    left = np.maximum(square - variance * explained, _ROUNDING * square)
+    left = np.maximum(square - variance * explained, ROUNDING * square)
     return -0.5 * (np.add.reduceat(np.log(spread), first) + freedom * np.log(left / square)), left
 
 
@@ -194,6 +193,6 @@ def _posterior(
     kept = np.ix_(active, active)
     covariance = np.linalg.inv(normal[kept] + np.diag(1 / prior[active]))
     mean[active] = covariance @ score[active]
-    level = max(square - float(score[active] @ mean[active]), _ROUNDING * square) / freedom
+    level = max(square - float(score[active] @ mean[active]), ROUNDING * square) / freedom
     second[kept] = level * covariance + np.outer(mean[active], mean[active])
     return second, level, mean

@@ -13,7 +13,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 
-_ROUNDING = 1e-9  # least share of yᵀy that columns leave; beside a poor fit they could explain more than all of it
+ROUNDING = 1e-9  # least share of yᵀy that columns leave; beside a poor fit they could explain more than all of it
 
 
 class HeldColumns:
@@ -28,7 +28,7 @@ class HeldColumns:
         self._table[:-1, :-1], self._table[:-1, -1], self._table[-1, :-1] = normal, score, score
         self._table[-1, -1] = square
         self._variance: dict[tuple[int, int], float] = {}
-        self._least = _ROUNDING * square
+        self._least = ROUNDING * square
 
     def copy(self) -> HeldColumns:
         """Return a copy, in which other groups may be held."""

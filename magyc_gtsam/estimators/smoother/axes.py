@@ -130,9 +130,8 @@ def check(recording: Recording) -> None:
     """
     if len(recording.magnetometer.time) < _LEAST_SAMPLES:
         return
-    ranked, still = _ranked(
-        recording
-    )  # even without a gyroscope, a constant bias explains a turn at constant rate
+    # Even without a gyroscope, a constant bias explains a turn at constant rate.
+    ranked, still = _ranked(recording)
     best = ranked[0]
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
     if best.unexplained > min(_CLEARLY * min(given.unexplained, still), _ALONE * ranked[1].unexplained):
