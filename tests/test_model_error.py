@@ -11,7 +11,7 @@ from magyc_gtsam import Recording, calibrate, simulate
 from magyc_gtsam.estimators.model_error import ModelError, component, model_error
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES
-from magyc_gtsam.estimators.model_error.held_columns import HeldColumns
+from magyc_gtsam.estimators.model_error.held_columns import HeldColumns, Products
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided, too_slow
@@ -218,22 +218,30 @@ def test_columns_beside_those_that_are_held() -> None:
     rows[4] = 0.0
     normal, score, square = rows @ rows.T, rows @ random.normal(size=40), 60.0
     groups, variance = [slice(0, 3), slice(3, 4), slice(4, 6), slice(6, 9)], [0.5, 2.0, 0.1, 30.0]
-    held = HeldColumns(normal, score, square)
-    for there in ((0, 1, 2), (1, 3), (0, 2, 3), ()):
-        for i, own in enumerate(groups):
-            held.release(own)
-            if i in there:
-                held.hold(own, variance[i])
-        kept = np.concatenate([np.arange(9)[groups[i]] for i in there] + [np.zeros(0, dtype=int)]).astype(int)
-        prior = np.concatenate([np.full(len(np.arange(9)[groups[i]]), variance[i]) for i in there] + [np.zeros(0)])
+
+    def expected(there: set[int], own: slice) -> tuple[np.ndarray, np.ndarray, float]:
+        kept = np.array([k for i in there for k in range(9)[groups[i]]], dtype=int)
+        prior = np.array([variance[i] for i in there for _ in range(9)[groups[i]]])
         solved = np.linalg.solve(normal[np.ix_(kept, kept)] + np.diag(1 / prior), np.c_[normal[kept], score[kept]])
-        assert held.left == pytest.approx(square - score[kept] @ solved[:, -1])
+        left = np.c_[normal, score] - normal[:, kept] @ solved
+        return left[own, own], left[own, -1], square - score[kept] @ solved[:, -1]
+
+    def same(found: Products, there: set[int], own: slice) -> None:
+        for result, right in zip(found, expected(there, own), strict=True):
+            np.testing.assert_allclose(result, right, atol=1e-12)
+
+    held = HeldColumns(normal, score, square)
+    for there in ({0, 1, 2}, {1, 3}, {0, 2, 3}, set[int]()):
+        variance = [3 * each for each in variance]  # of those that stay, too
         for i, own in enumerate(groups):
-            if i not in there:
-                expected = (np.c_[normal, score] - normal[:, kept] @ solved)[own]
-                np.testing.assert_allclose(
-                    np.c_[held.normal(own), held.score(own)], expected[:, [*range(9)[own], -1]]
-                )
+            held.hold(own, variance[i] if i in there else 0.0)
+        assert held.left == pytest.approx(expected(there, slice(0, 1))[2])
+        free = [i for i in range(4) if i not in there]
+        for i, own in enumerate(groups):
+            same(held.of(own), there - {i}, own)
+            if i in there:
+                for k, found in zip(free, held.without(own, [groups[k] for k in free]), strict=True):
+                    same(found, there - {i}, groups[k])
 
 
 def test_no_amplitude_where_there_is_none() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -174,36 +174,34 @@ _BLOCKS = (slice(0, 6), _HARD_IRON, slice(9, 12))
 _SECOND_ORDER = 0.15
 
 
+_NONE = np.zeros(0)
+
+
 class JointFit(NamedTuple):
     """The joint fit of the significant families.
 
     Attributes:
         covariance: (p, p) of θ and of the terms.
         components: families with an amplitude above 0, with covariances (p, p).
-        normal, score, variance: G (K, K), s (K,) and v (K,) of all columns, for tests of further families.
-        found: the families with the rows of their columns.
+        tests: of these families.
+        normal, score, variance: G (K, K), s (K,) and v (K,) of their columns, for tests of further families.
         stacked: their columns; None if there are none.
     """
 
     covariance: Array
-    components: tuple[Component, ...]
-    normal: Array
-    score: Array
-    variance: Array
-    found: tuple[tuple[FamilyTest, slice], ...]
-    stacked: Stacked | None
-
-    @property
-    def active(self) -> Iterator[tuple[FamilyTest, slice]]:
-        """The families whose variance is above 0 in the joint fit."""
-        return ((each, own) for each, own in self.found if self.variance[own].any())
+    components: tuple[Component, ...] = ()
+    tests: tuple[FamilyTest, ...] = ()
+    normal: Array = _NONE[:, None]
+    score: Array = _NONE
+    variance: Array = _NONE
+    stacked: Stacked | None = None
 
 
 def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[FamilyTest]) -> JointFit:
     """Fit the amplitudes of the families `found` jointly, in the order given."""
     varying = np.zeros((len(beside.estimated.free),) * 2)
     if not found:
-        return JointFit(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), (), None)
+        return JointFit(varying)
     stacked = Stacked.of([each.new for each in found])
     normal, groups = stacked.across(stacked), stacked.groups
     each_move = moves(beside, motion, found)
@@ -227,8 +225,12 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Famil
             components.append(Component(family.name, words, size, each.gain, covariance, period, family.of_place))
     every = np.concatenate(each_move, axis=1)
     covariance = _to_second_order(every @ fitted.second @ every.T + varying, len(beside.fit.free) > PARAMETERS)
-    pairs = tuple(zip(found, groups, strict=True))
-    return JointFit(covariance, tuple(components), normal, score, fitted.variance, pairs, stacked)
+    there = [i for i, amplitude in enumerate(fitted.amplitude) if amplitude > 0]
+    if not there:
+        return JointFit(covariance)
+    kept = np.concatenate([np.arange(groups[i].start, groups[i].stop) for i in there])
+    products = normal[np.ix_(kept, kept)], score[kept], fitted.variance[kept]
+    return JointFit(covariance, tuple(components), tuple(found[i] for i in there), *products, stacked.only(there))
 
 
 def _to_second_order(covariance: Array, with_skew: bool) -> Array:

@@ -158,19 +158,14 @@ def fit_components(
         usual: the largest usual amplitude of each; `most` by default.
     """
     usual, possible = most if usual is None else usual, np.zeros(len(score))
-    variance, level = np.zeros(len(groups)), square / freedom
+    variance, level, held = np.zeros(len(groups)), square / freedom, HeldColumns(normal, score, square)
     for _ in range(_SWEEPS):
-        before, held = variance.copy(), HeldColumns(normal, score, square)
-        for own, there in zip(groups, variance, strict=True):
-            if there > 0:
-                held.hold(own, there)
+        before = variance.copy()
         for i, own in enumerate(groups):
-            held.release(own)
             bounds = most[i] ** 2 / level, usual[i] ** 2 / level
-            found = likeliest(held.normal(own), held.score(own), held.left, freedom, *bounds)
+            found = likeliest(*held.of(own), freedom, *bounds)
             variance[i], possible[own] = (found.variance, found.mean) if found.gain > _LEAST_GAIN else (0.0, 0.0)
-            if variance[i] > 0:
-                held.hold(own, variance[i])
+            held.hold(own, variance[i])
         level = held.left / freedom
         if np.allclose(before, variance, rtol=_CONVERGED, atol=0.0):
             break

@@ -23,7 +23,7 @@ from magyc_gtsam.estimators.model_error.components import (
     log_likelihoods,
     principal,
 )
-from magyc_gtsam.estimators.model_error.held_columns import HeldColumns
+from magyc_gtsam.estimators.model_error.held_columns import HeldColumns, Products
 from magyc_gtsam.estimators.model_error.moments import averaged_moments, propagated
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
@@ -77,7 +77,7 @@ def not_excluded(
     Each is considered in addition to the families that are shown and in place of any one of them; the likelier
     hypothesis counts.
     """
-    there = [each.family for each, _ in shown.active]
+    there = [each.family for each in shown.tests]
     open_ones, largest = [], []
     for each in every:
         # A bound for the family by itself (beside others its gain may differ): no mean over amplitudes exceeds the
@@ -100,27 +100,26 @@ def not_excluded(
 
 
 class _Others(NamedTuple):
-    """The families that a hypothesis has beside the one considered.
+    """The families that a hypothesis has beside the ones considered.
 
     Attributes:
-        held: their columns, and those of the ones considered.
+        products: of the ones considered.
         prior, gain: prior odds and gain in log-likelihood of the family that is replaced; those of none otherwise.
     """
 
-    held: HeldColumns
+    products: list[Products]
     prior: float = 1.0
     gain: float = 0.0
 
 
-def _others(every: HeldColumns, beside: ColumnProducts, shown: JointFit) -> Iterator[_Others]:
-    """Yield all families that are shown, which are held, then all but one, for each of them."""
-    yield _Others(every)
-    for replaced, own in shown.active:
-        held = every.copy()
-        held.release(own)
-        most = replaced.family.most**2 * beside.freedom / held.left
-        gain = likeliest(held.normal(own), held.score(own), held.left, beside.freedom, most).gain
-        yield _Others(held, replaced.family.prior, gain)
+def _others(held: HeldColumns, beside: ColumnProducts, shown: JointFit, rows: list[slice]) -> Iterator[_Others]:
+    """Yield all families that are shown, which are held, then all but one, for each of them; `rows` are considered."""
+    yield _Others([held.of(own) for own in rows])
+    assert shown.stacked is not None
+    for replaced, own in zip(shown.tests, shown.stacked.groups, strict=True):
+        alone = held.of(own)
+        gain = likeliest(*alone, beside.freedom, replaced.family.most**2 * beside.freedom / alone.left).gain
+        yield _Others(held.without(own, rows), replaced.family.prior, gain)
 
 
 def _likeliest(
@@ -128,15 +127,15 @@ def _likeliest(
 ) -> list[tuple[float, Averaged]]:
     """Return the odds and posterior of each family in its likeliest hypothesis."""
     octaves = [each.family.octaves for each in families]
-    if shown.stacked is None or not shown.variance.any() or not families:
+    if shown.stacked is None or not families:
         axes = [each.principal for each in families]
         every = averaged_of_each(axes, beside.square, beside.freedom, largest, octaves)
         return [(_odds(each, known), known) for each, known in zip(families, every, strict=True)]
     held, rows = _beside_shown(beside, families, shown)
     hypotheses = []
-    for others in _others(held, beside, shown):
-        axes = [principal(others.held.normal(own), others.held.score(own)) for own in rows]
-        every = averaged_of_each(axes, others.held.left, beside.freedom, largest, octaves)
+    for others in _others(held, beside, shown, rows):
+        axes = [principal(each.normal, each.score) for each in others.products]
+        every = averaged_of_each(axes, others.products[0].left, beside.freedom, largest, octaves)
         hypotheses.append([(_odds(*each, others), each[1]) for each in zip(families, every, strict=True)])
     return [max(each, key=lambda hypothesis: hypothesis[0]) for each in zip(*hypotheses, strict=True)]
 
@@ -155,7 +154,7 @@ def _beside_shown(
         normal[own, own] = each.new.normal
     score = np.concatenate([shown.score, *(each.new.score for each in families)])
     held = HeldColumns(normal, score, beside.square)
-    for _, own in shown.active:
+    for own in shown.stacked.groups:
         held.hold(own, float(shown.variance[own.start]))
     return held, rows
 

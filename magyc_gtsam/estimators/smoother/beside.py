@@ -203,6 +203,21 @@ class Stacked:
         explained = np.concatenate([new.explained for new in groups], axis=1)
         return cls(rows, explained, absorbed, _one_below_the_other(of_windows), _one_below_the_other(of_links))
 
+    def only(self, groups: Sequence[int]) -> Stacked:
+        """Return some of the groups."""
+        ends = np.cumsum([0, *(self.groups[i].stop - self.groups[i].start for i in groups)]).tolist()
+        own = tuple(slice(*pair) for pair in pairwise(ends))
+        place = np.full(len(self.absorbed), -1)
+        for i, rows in zip(groups, own, strict=True):
+            place[self.groups[i]] = np.arange(rows.start, rows.stop)
+        kept = np.concatenate([np.arange(self.groups[i].start, self.groups[i].stop) for i in groups])
+
+        def some(part: Array, rows: np.ndarray) -> tuple[Array, np.ndarray]:
+            wanted = np.flatnonzero(place[rows] >= 0)
+            return part[wanted], place[rows[wanted]]
+
+        return Stacked(own, self.explained[:, kept], self.absorbed[kept], some(*self.window), some(*self.link))
+
     def across(self, other: Stacked) -> Array:
         """Return the (K, L) block of G between these columns and others."""
         result: Array = -(self.absorbed @ other.absorbed.T) - self.explained.T @ other.explained
