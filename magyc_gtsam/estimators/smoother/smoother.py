@@ -98,7 +98,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
 
 
 def _of(recording: Recording, options: SmootherOptions) -> Calibration:
-    return calibration_of(recording, fit_field_chain(recording, options), options)
+    return calibration_of(recording, fit_field_chain(recording, options, brief=True), options)
 
 
 def prior_contradictions(
