@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.factors.chain.rotations import cross, exponential_matrices
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.factors.effects.turning import Turning
 from magyc_gtsam.gap.effects import TERMS
 
 SOFT = np.array([[1.05, 0.04, 0.0], [0.04, 0.95, 0.02], [0.0, 0.02, 1.01]])
@@ -19,14 +22,20 @@ HARD = np.array([2e-6, -12e-6, 9e-6])
 BIAS = np.array([4e-3, -5e-3, 2e-3])
 
 
+def field_rate(field: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    result: np.ndarray = SOFT @ -cross(rate, np.linalg.solve(SOFT, field))
+    return result
+
+
 def signals(n: int = 50) -> Signals:
     random = np.random.default_rng(1)
+    field, rate = random.standard_normal((3, n)) * 3e-5, random.standard_normal((3, n)) * 0.3
     return Signals(
         np.arange(n) * 0.1,
-        field=random.standard_normal((3, n)) * 3e-5,
-        field_rate=random.standard_normal((3, n)) * 1e-5,
+        field=field,
+        field_rate=field_rate(field, rate),
         hard_iron=HARD,
-        rate=random.standard_normal((3, n)) * 0.3,
+        rate=rate,
         to_sensor=np.repeat(np.eye(3)[:, :, None], n, axis=2),
         soft_iron=SOFT,
         acceleration=random.standard_normal((3, n)) + np.array([[0.0], [0.0], [-9.8]]),
@@ -54,11 +63,11 @@ def test_a_form_is_its_columns_times_its_value(name: str) -> None:
     at, setting = signals(), SETTINGS.get(name, {})
     columns = FORMS[name].columns(at, setting)
     assert columns.shape[1:] == (3, 50)
-    exact = not FORMS[name].rotates and FORMS[name].second is None
-    value = np.linspace(1, 2, len(columns)) * (1.0 if exact else 1e-3)
+    exact = not FORMS[name].rotates and FORMS[name].exact is None
+    value = np.linspace(1, 2, len(columns)) * (1.0 if exact else 2e-4)
     added = FORMS[name].evaluate(at, value, setting)
     linear = np.tensordot(value, columns, axes=1)
-    # A rotation of axes is exact, and delays of axes are of second order: their columns are the first order of it.
+    # A rotation of axes and delays of axes are exact: their columns are the first order of them.
     np.testing.assert_allclose(added, linear, atol=np.abs(linear).max() * (1e-12 if exact else 1e-2))
 
 
@@ -145,12 +154,47 @@ def test_apply_gyroscope_takes_a_scale_out() -> None:
     np.testing.assert_allclose(cal.apply_gyroscope(rate + error + BIAS), rate, atol=1e-9)
 
 
+def late_axes(rate: float, delay: np.ndarray, time: np.ndarray) -> tuple[Signals, np.ndarray]:
+    """Return what a sensor reads that turns about an axis, and what is added where each of its axes is late."""
+    axis = np.array([2.0, -1.0, 2.0]) / 3
+
+    def field(when: np.ndarray) -> np.ndarray:
+        about = exponential_matrices(-np.outer(axis, rate * when))
+        return SOFT @ np.einsum("ijn,j->in", about, [2e-5, 0.0, 4e-5])
+
+    rates = np.outer(axis, np.full(len(time), rate))
+    now = field(time)
+    at = Signals(time, field=now, rate=rates, soft_iron=SOFT)
+    return at, np.array([field(time - late)[i] for i, late in enumerate(delay)]) - now
+
+
 def test_delays_of_axes_read_each_at_its_own_time() -> None:
-    """To second order: of delays of 50 to 100 ms in turns of 0.5 rad/s less than 1 in 500 remains."""
-    time = np.linspace(0, 20, 401)
-    phase = 0.5 * time + np.array([0.0, 1.0, 2.0])[:, None]
-    delay = np.array([0.05, 0.1, 0.08])
-    at = Signals(time, field=50e-6 * np.sin(phase), field_rate=25e-6 * np.cos(phase))
-    late = 50e-6 * np.sin(phase - 0.5 * delay[:, None])
-    added = FORMS["axis-delays"].evaluate(at, delay, {})
-    assert np.abs(at.field + added - late)[:, 1:-1].max() < 2e-3 * np.abs(late - at.field).max()
+    """Of delays of up to 200 ms in turns of 3 rad/s nothing remains, nor of the derivatives."""
+    delay = np.array([0.05, 0.2, 0.08])
+    at, late = late_axes(3.0, delay, np.linspace(0, 20, 401))
+    form = FORMS["axis-delays"]
+    np.testing.assert_allclose(form.evaluate(at, delay, {}), late, atol=1e-12)
+    step = 1e-6
+    moved = [
+        (form.evaluate(at, delay + way, {}) - form.evaluate(at, delay - way, {})) / (2 * step)
+        for way in step * np.eye(3)
+    ]
+    np.testing.assert_allclose(form.derivatives(at, delay, {}), moved, atol=1e-9)
+    at = replace(at, field_rate=field_rate(at.field, at.rate))
+    np.testing.assert_allclose(form.derivatives(at, np.zeros(3), {}), form.columns(at, {}), atol=1e-12)
+
+
+def test_turns_are_those_of_the_samples_of_a_window() -> None:
+    """A turn that changes within a second is not that of the windows' mean rates."""
+    time = np.linspace(0, 20, 2001)
+    rate = np.stack([np.sin(3 * time), np.cos(4 * time), 0.5 * np.ones(len(time))])
+    passed = np.stack([-np.cos(3 * time) / 3, np.sin(4 * time) / 4, 0.5 * time])
+    then = time - 0.3
+    before = np.stack([-np.cos(3 * then) / 3, np.sin(4 * then) / 4, 0.5 * then])
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return values[:, 1:].reshape(3, 20, 100).mean(axis=2)
+
+    turn, earlier = Turning(time, rate, time, mean).within(0.3)
+    np.testing.assert_allclose(turn[:, 1:], mean(passed - before)[:, 1:], atol=1e-4)
+    assert earlier.shape == (3, 20)

@@ -104,8 +104,9 @@ def corrected_field(
         signals = replace(signals, rate=turn @ signals.rate)
     own = [term for term in terms if term.side == "magnetometer" and term.subtracted]
     needed = {name for term in own for name in FORMS[term.name].needs}
+    signals = replace(signals, soft_iron=soft_iron)
     if "to_sensor" in needed:
-        signals = replace(signals, to_sensor=_to_sensor(signals), soft_iron=soft_iron)
+        signals = replace(signals, to_sensor=_to_sensor(signals))
 
     def added(iron: Array) -> Array:
         at = replace(signals, field=iron, hard_iron=hard_iron)

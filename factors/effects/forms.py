@@ -1,7 +1,7 @@
 """The extra effects of the gap workflow: the contribution of each to a sensor's reading.
 
-A form is linear in its value, except for a rotation of axes and for delays of single axes: reading = base model +
-Σ value_k · column_k. The columns are a function of the available signals (time, field, rate, other channels) and of a
+A form is linear in its value, reading = base model + Σ value_k · column_k, except for a rotation of axes and for delays
+of single axes. The columns are a function of the available signals (time, field, rate, other channels) and of a
 setting that was searched over (the time of a step, the frequency of a tone). The same forms serve the evidence, the
 joint refit, the GTSAM factor (`effect_chain_factor`) and `Calibration.apply`.
 """
@@ -34,8 +34,8 @@ class Form(NamedTuple):
     needs: tuple[str, ...]
     columns: Callable[[Signals, Setting], Array]
     rotates: bool = False  # the value is a rotation vector that is applied to the rate exactly, not to first order
-    # Columns per unit of half the square of each value, of a form that is followed to second order.
-    second: Callable[[Signals], Array] | None = None
+    # The contribution (3, n) of a value and its derivatives (k, 3, n), of a form that is not linear in its value.
+    exact: Callable[[Signals, Array], tuple[Array, Array]] | None = None
     remembers: bool = False  # its columns at one sample depend on other samples, too
 
     def evaluate(self, signals: Signals, value: Array, setting: Setting) -> Array:
@@ -43,6 +43,8 @@ class Form(NamedTuple):
         if self.rotates:
             turn = exponential_matrices(np.asarray(value, dtype=float)[:, None])[:, :, 0]
             return (turn - np.eye(3)) @ signals.need("rate")
+        if self.exact is not None:
+            return self.exact(signals, np.asarray(value, dtype=float))[0]
         columns = self.columns(signals, setting)
         if len(columns) != len(value):
             raise MagycError(
@@ -50,9 +52,11 @@ class Form(NamedTuple):
                 "recording must have the same channels as the one that was calibrated"
             )
         result: Array = np.tensordot(np.asarray(value, dtype=float), columns, axes=1)
-        if self.second is not None:
-            result += np.tensordot(0.5 * np.square(value), self.second(signals), axes=1)
         return result
+
+    def derivatives(self, signals: Signals, value: Array, setting: Setting) -> Array:
+        """Return the derivatives (k, 3, n) of the contribution with respect to the value."""
+        return self.columns(signals, setting) if self.exact is None else self.exact(signals, value)[1]
 
 
 def _misalignment(s: Signals, setting: Setting) -> Array:
@@ -68,8 +72,17 @@ def _axis_delays(s: Signals, setting: Setting) -> Array:
     return -np.eye(3)[:, :, None] * s.need("field_rate")
 
 
-def _curvature(s: Signals) -> Array:
-    return np.eye(3)[:, :, None] * np.gradient(s.need("field_rate"), s.need("time"), axis=1)
+def _earlier_attitudes(s: Signals, delay: Array) -> tuple[Array, Array]:
+    """Return what delays (3,) of the axes add to the reading (3, n), and its derivatives (3, 3, n)."""
+    field, soft = s.need("field"), s.need("soft_iron")
+    true = np.linalg.solve(soft, field)
+    added, slope = np.zeros_like(field), np.zeros((3, *field.shape))
+    for axis, late in enumerate(delay):
+        turn, rate = s.turns.within(float(late))
+        earlier = np.einsum("ijn,jn->in", exponential_matrices(turn), true)
+        added[axis] = soft[axis] @ earlier - field[axis]
+        slope[axis, axis] = soft[axis] @ cross(rate, earlier)
+    return added, slope
 
 
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
@@ -235,7 +248,7 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
         "timing": Form("magnetometer", ("field_rate",), _timing),
         "axis-delays": Form(
-            "magnetometer", ("time", "field_rate"), _axis_delays, second=_curvature, remembers=True
+            "magnetometer", ("time", "rate", "field_rate"), _axis_delays, exact=_earlier_attitudes, remembers=True
         ),
         "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
         "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),

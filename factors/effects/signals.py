@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.turning import Turning
 from magyc_gtsam.factors.errors import MagycError
 
 STANDARD_GRAVITY = 9.80665  # m/s² in a g
@@ -28,6 +29,7 @@ class Signals:
         within: (3, n, k) T, the field at k instants of each window, where the rows are means over windows.
         hard_iron: (3,) T.
         rate: (3, n) rad/s, true angular rate.
+        turning: the same from sample to sample, where the rows are means over windows.
         to_sensor: (3, 3, n) rotation of a world frame into the sensor's.
         soft_iron: (3, 3) in any unit.
         acceleration: (3, n) m/s².
@@ -41,6 +43,7 @@ class Signals:
     within: Array | None = None
     hard_iron: Array | None = None
     rate: Array | None = None
+    turning: Turning | None = None
     to_sensor: Array | None = None
     soft_iron: Array | None = None
     acceleration: Array | None = None
@@ -70,6 +73,11 @@ class Signals:
         soft = self.need("soft_iron")
         axes: Array = np.einsum("ij,jkn->kin", soft / np.cbrt(np.linalg.det(soft)), self.need("to_sensor"))
         return axes
+
+    @property
+    def turns(self) -> Turning:
+        """Return the turns of the sensor within the last moments of each row."""
+        return self.turning or Turning(self.need("time"), self.need("rate"), self.time)
 
     @property
     def path(self) -> Array:

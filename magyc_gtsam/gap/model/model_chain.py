@@ -43,6 +43,7 @@ def window_signals(problem: Problem, gyroscope: Integrated, state: ChainState) -
         within=np.moveaxis(within, 0, -1),
         hard_iron=parameters[6:9],
         rate=gyroscope.mean_rate,
+        turning=gyroscope.turning,
         to_sensor=to_sensor_of(gyroscope, state),
         soft_iron=soft,
     )

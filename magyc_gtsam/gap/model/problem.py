@@ -18,6 +18,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
+from magyc_gtsam.factors.effects.turning import Turning
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model.rests import rate_at_rest
 from magyc_gtsam.recording import Recording
@@ -91,12 +92,14 @@ class Integrated:
         rate: (3, G) true rate, rad/s.
         windows: field windows at the bias and delay.
         mean_rate: (3, n) true rate, averaged over each window.
+        turning: the true rate at the samples, and the windows.
     """
 
     samples: Preintegration
     rate: Array
     windows: FieldWindows
     mean_rate: Array
+    turning: Turning
 
     @cached_property
     def errors(self) -> RateDerivatives:
@@ -282,6 +285,7 @@ def integrated(problem: Problem, model: Model) -> Integrated:
     windows = samples.integrate(bias, delay)
     when = problem.magnetometer.time - delay
     mean_rate = problem.mean(np.stack([np.interp(when, problem.gyroscope.time, axis) for axis in rate]))
-    result = Integrated(samples, rate, windows, mean_rate)
+    turning = Turning(problem.gyroscope.time, rate, when, problem.mean)
+    result = Integrated(samples, rate, windows, mean_rate, turning)
     problem._kept[:] = [*problem._kept[1 - _KEPT :], (key, result)]
     return result

@@ -153,7 +153,7 @@ class Twin:
     @cached_property
     def base_columns(self) -> Array:
         """Return the whitened regressors (q, 3n) of the free parameters, then of the model's terms."""
-        terms = [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
+        terms = [self.whiten(self.columns(t.name, t.setting, t.value)) for t in self.model.estimated]
         return np.concatenate([self.parameter_columns, *terms])
 
     @cached_property
@@ -200,11 +200,13 @@ class Twin:
     def _score_bias(self, term: Active) -> Array:
         return self.rate_score_bias(lambda signals: FORMS[term.name].columns(signals, term.setting))
 
-    def columns(self, name: str, setting: Setting) -> Columns:
-        """Return the regressors of a form, per unit of value."""
+    def columns(self, name: str, setting: Setting, value: Array | None = None) -> Columns:
+        """Return the regressors of a form, per unit of value; of one that is not linear, at a value (None: at 0)."""
         form = FORMS[name]
         if form.side == "magnetometer":
-            return Columns(form.columns(self.windows, setting), None)
+            here = self.windows
+            own = form.columns(here, setting) if value is None else form.derivatives(here, value, setting)
+            return Columns(own, None)
         if _contains_rate(name):
             return self.of_profile(lambda signals: form.columns(signals, setting))
         return self.on_gyroscope(form.columns(self.gyroscope, setting))

@@ -1,0 +1,50 @@
+"""The turn of a sensor within the last moments, by which an axis that is read late shows an earlier attitude."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """The rate of turn of a sensor, and the rows at which its turn is asked for.
+
+    Attributes:
+        time, rate: (G,) s, (3, G) rad/s, in the sensor's axes.
+        rows: (M,) s, the times of the samples.
+        mean: function that returns the means (..., n) of values (..., M) where rows are means over several samples.
+    """
+
+    time: Array
+    rate: Array
+    rows: Array
+    mean: Callable[[Array], Array] = lambda values: values
+
+    def within(self, delay: float) -> tuple[Array, Array]:
+        """Return the integral (3, n) of the rate over the last `delay` s, rad, and the rate (3, n), rad/s, before it.
+
+        Before the first sample the rate is that of the first.
+        """
+        then, rate = self._until(self.rows - delay)
+        return self.mean(self._now - then), self.mean(rate)
+
+    @cached_property
+    def _now(self) -> Array:
+        return self._until(self.rows)[0]
+
+    @cached_property
+    def _angle(self) -> Array:
+        steps = 0.5 * (self.rate[:, 1:] + self.rate[:, :-1]) * np.diff(self.time)
+        return np.concatenate([np.zeros((3, 1)), np.cumsum(steps, axis=1)], axis=1)
+
+    def _until(self, when: Array) -> tuple[Array, Array]:
+        """Return the integral (3, M) of the rate until some times (M,), and the rate (3, M) then."""
+        rate = np.stack([np.interp(when, self.time, axis) for axis in self.rate])
+        last = np.clip(np.searchsorted(self.time, when, side="right") - 1, 0, len(self.time) - 1)
+        return self._angle[:, last] + 0.5 * (self.rate[:, last] + rate) * (when - self.time[last]), rate
