@@ -184,6 +184,11 @@ def test_delays_of_axes_read_each_at_its_own_time() -> None:
     np.testing.assert_allclose(form.derivatives(at, np.zeros(3), {}), form.columns(at, {}), atol=1e-12)
 
 
+def test_delays_are_those_of_three_axes() -> None:
+    with pytest.raises(mg.MagycError, match="an effect of 2 values meets data for 3"):
+        FORMS["axis-delays"].evaluate(signals(), np.array([0.1, 0.2]), {})
+
+
 def test_turns_are_those_of_the_samples_of_a_window() -> None:
     """A turn that changes within a second is not that of the windows' mean rates."""
     time = np.linspace(0, 20, 2001)

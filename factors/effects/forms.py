@@ -43,14 +43,14 @@ class Form(NamedTuple):
         if self.rotates:
             turn = exponential_matrices(np.asarray(value, dtype=float)[:, None])[:, :, 0]
             return (turn - np.eye(3)) @ signals.need("rate")
-        if self.exact is not None:
-            return self.exact(signals, np.asarray(value, dtype=float))[0]
         columns = self.columns(signals, setting)
         if len(columns) != len(value):
             raise MagycError(
                 f"{' and '.join(self.needs)}: an effect of {len(value)} values meets data for {len(columns)}; the "
                 "recording must have the same channels as the one that was calibrated"
             )
+        if self.exact is not None:
+            return self.exact(signals, np.asarray(value, dtype=float))[0]
         result: Array = np.tensordot(np.asarray(value, dtype=float), columns, axes=1)
         return result
 
