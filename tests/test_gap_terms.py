@@ -182,6 +182,17 @@ def test_delays_of_axes_read_each_at_its_own_time() -> None:
     np.testing.assert_allclose(form.derivatives(at, np.zeros(3), {}), form.columns(at, {}), atol=1e-12)
 
 
+def test_late_axes_are_corrected_without_adding_noise() -> None:
+    """From sample to sample at 200 Hz; a correction to second order diverged."""
+    delay, time = np.array([0.05, 0.2, 0.08]), np.linspace(0, 20, 4001)
+    at, late = late_axes(3.0, delay, time)
+    noise = np.random.default_rng(1).standard_normal(late.shape) * 0.3e-6
+    cal = calibration(Term("axis-delays", delay, np.eye(3) * 1e-8))
+    read = (at.field + late + noise).T + HARD
+    left = cal.apply(read, time=time, angular_rate=at.rate.T + BIAS) - np.linalg.solve(SOFT, at.field).T
+    assert left.std() < 0.5e-6
+
+
 def test_delays_are_those_of_three_axes() -> None:
     with pytest.raises(mg.MagycError, match="an effect of 2 values meets data for 3"):
         FORMS["axis-delays"].evaluate(signals(), np.array([0.1, 0.2]), {})
