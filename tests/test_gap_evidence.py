@@ -148,67 +148,39 @@ def test_a_larger_share_is_kept_where_the_field_varies() -> None:
     assert stated == pytest.approx(
         {FIELD_VARIATION: certain, "cubic": sure, "spikes": sure, UNKNOWN: 1 - sure, NOTHING: 0.0}
     )
-    assert PRIOR.named_from < PRIOR.missing_from < sure
+    assert PRIOR.named_from < sure
 
 
-@pytest.mark.parametrize("unknown", [False, True])
-def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
-    """Any of them together, at odds that grow with their number; effects on single samples are not among them."""
-    odds = 0.0 if unknown else PRIOR.all_named
-    ratio = {count: float(np.exp(odds + (count - 1) * PRIOR.each_more)) for count in (1, 2, 3)}
-    if not unknown:
-        ratio[1] = 0.0  # nothing is left of a cause that one name explains
-    seen = 100.0 if unknown else None
+@pytest.mark.parametrize("seen", [None, 100.0])
+def test_many_names_at_once_may_be_one_unknown_cause(seen: float | None) -> None:
+    """Any of them together, if something unknown is seen; effects on single samples are not among them."""
     names = ("cubic", "eddy-plane", "hysteresis", "tone")
     stated = marginals(normalised(summed([SetWeight(names, 0.0, seen, dict.fromkeys(names, 100.0))])))
-    total = 1 + 3 * ratio[1] + 3 * ratio[2] + ratio[3]
     share = 1 - PRIOR.unforeseen
-    assert stated["cubic"] == pytest.approx(share * (1 + 2 * ratio[1] + ratio[2]) / total)
+    assert stated["cubic"] == pytest.approx(share if seen is None else 0.5 * share)  # 4 of 8 subsets contain it
     assert stated["tone"] == pytest.approx(share)
 
 
-def test_a_varying_field_stays_if_no_unknown_cause_is_seen() -> None:
+@pytest.mark.parametrize("seen", [None, 100.0])
+def test_a_varying_field_stays_if_no_unknown_cause_is_seen(seen: float | None) -> None:
     names = (FIELD_VARIATION, "cubic", "hysteresis")
-    stated = marginals(normalised(summed([SetWeight(names, 0.0, None, dict.fromkeys(names, 100.0))])))
-    assert stated[FIELD_VARIATION] == pytest.approx(1 - PRIOR.unforeseen)
-    assert stated["cubic"] < stated[FIELD_VARIATION]
-
-
-@pytest.mark.parametrize("sensor", [-40.0, -5.0, 20.0])
-def test_a_varying_field_is_part_of_an_unknown_cause_if_it_moves_with_the_sensor(sensor: float) -> None:
-    powers = {FIELD_VARIATION: 100.0, "cubic": 100.0}
-    stated = marginals(normalised(summed([SetWeight((FIELD_VARIATION, "cubic"), 0.0, 100.0, powers)], sensor)))
+    stated = marginals(normalised(summed([SetWeight(names, 0.0, seen, dict.fromkeys(names, 100.0))])))
     share = 1 - PRIOR.unforeseen
-    uncertain = share * 2 / (3 + np.exp(PRIOR.each_more))
-    assert stated[FIELD_VARIATION] == pytest.approx(share if sensor < -PRIOR.world_ahead else uncertain, rel=1e-6)
+    assert stated[FIELD_VARIATION] == pytest.approx(share if seen is None else 0.5 * share, rel=0.05)
 
 
 @pytest.mark.parametrize("seen", [None, 500.0])
 def test_correlated_noise_may_be_a_part_of_what_is_unknown(seen: float | None) -> None:
     """As probably as not; of a log in which nothing is unknown it is not."""
     names = tuple(sorted((COLOUR, FIELD_VARIATION)))
-    stated = marginals(
-        normalised(summed([SetWeight(names, 0.0, seen, {COLOUR: 0.0, FIELD_VARIATION: 100.0})], -40.0))
-    )
+    stated = marginals(normalised(summed([SetWeight(names, 0.0, seen, {COLOUR: 0.0, FIELD_VARIATION: 100.0})])))
     share = (1 - PRIOR.unforeseen) * (1 - PRIOR.unforeseen_in_room)
-    assert stated[COLOUR] == pytest.approx(share if seen is None else 0.5 * share, rel=0.02)
-
-
-def test_what_one_name_explains_but_for_its_form_is_that_effect() -> None:
-    """Two hundredths of the power beside it make no other cause of it."""
-    names = ("cubic", "hysteresis")
-    alike, large = (
-        marginals(normalised(summed([SetWeight(names, 0.0, None, {"hysteresis": 1000.0, "cubic": power})])))[
-            "hysteresis"
-        ]
-        for power in (500.0, 20.0)
-    )
-    assert alike < large == pytest.approx(1 - PRIOR.unforeseen)
+    assert stated[COLOUR] == pytest.approx(share if seen is None else 0.5 * share, rel=0.05)
 
 
 def test_a_small_unknown_effect_is_no_part_of_a_large_name() -> None:
-    """It must explain an eighth of what the name does."""
-    least = PRIOR.rest * 1000.0
+    """It must explain more than the name may deviate from its form."""
+    least = PRIOR.form * 1000.0
     small, large = (
         marginals(normalised(summed([SetWeight(("hysteresis",), 0.0, seen, {"hysteresis": 1000.0})])))[
             "hysteresis"
@@ -219,28 +191,6 @@ def test_a_small_unknown_effect_is_no_part_of_a_large_name() -> None:
     assert large < 0.7
 
 
-@pytest.mark.parametrize("seen", [None, 1000.0])
-def test_an_unknown_cause_hardly_resembles_what_every_instrument_has(seen: float | None) -> None:
-    """A delay is probably there, beside a cause that resembles other effects."""
-
-    def stated(*names: str) -> dict[str, float]:
-        weight = SetWeight(names, 0.0, seen, dict.fromkeys(names, 1000.0), frozenset({"timing"}))
-        return marginals(normalised(summed([weight])))
-
-    others, with_delay = stated("cubic", "hysteresis"), stated("cubic", "hysteresis", "timing")
-    assert with_delay["timing"] > with_delay["cubic"]
-    assert with_delay["cubic"] == pytest.approx(others["cubic"], abs=0.05)
-    assert stated("cubic", "hysteresis", "eddy-plane")["cubic"] < with_delay["cubic"] - 0.01
-
-
-def test_what_every_instrument_has_is_small() -> None:
-    """A delay of 40 ms is in every one, one of 0.3 s is not."""
-    for delay, ordinary in ((0.04, True), (0.3, False)):
-        recording = mg.simulate("wide", 100, seed=31, delay=delay).recording
-        tree = Tree(base_model(recording, None, short_term_noise(recording)), ("timing",))
-        assert ("timing" in tree.nodes[("timing",)].ordinary) == ordinary
-
-
 def test_a_product_pays_for_the_time_of_its_jump() -> None:
     """In place of a jump, its product with another signal is at the jump's time, which was searched for as well."""
     recording = mg.simulate("wide", 120, seed=3, effects=(("hard-iron-step", 1.0),)).recording
@@ -249,7 +199,7 @@ def test_a_product_pays_for_the_time_of_its_jump() -> None:
     step = node.found["hard-iron-step"]
     assert step.search > 3
     for family in neighbours("hard-iron-step", step.setting):
-        free = weigh(Candidates.of(node.fit.twin, (), [family]), node.beside, node.named)[family.name]
+        free = weigh(Candidates.of(node.fit.twin, (), [family]), node.beside)[family.name]
         paid = node.found[family.name]
         assert paid.log == pytest.approx(free.log - step.search)
         np.testing.assert_allclose(paid.by_scale, free.by_scale - step.search)

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence import node as nodes
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.laplace import Explained, Terms
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
@@ -53,16 +50,6 @@ def test_what_the_room_could_explain_is_named_where_it_explains_as_much_in_its_p
     assert best.kept == [0]
     said = mg.find_gap(recording, candidates=_NAMES).probabilities
     assert said["gyro-bias-step"] > PRIOR.named_from
-
-
-def test_what_is_a_part_of_the_field_needs_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An object in the surroundings has its power in place of the field, too, because it is one."""
-    assert {name for name, term in TERMS.items() if term.of_place} == {"local-anomaly", "field-gradient"}
-    best = _best(_in_a_room(2, jump=0.06))
-    of_place = replace(TERMS["gyro-bias-step"], of_place=True)
-    monkeypatch.setattr(nodes, "TERMS", {**TERMS, "gyro-bias-step": of_place})
-    assert best.kept == [0]
-    assert replace(best).kept == []
 
 
 def test_the_power_in_place_of_the_field_is_what_a_fit_without_the_term_leaves_more() -> None:

@@ -112,6 +112,6 @@ def test_a_refined_setting_keeps_what_every_setting_could_show() -> None:
     twin = base_model(recording, None, short_term_noise(recording)).twin
     beside = Beside.of_model(twin)
     found = weigh(Candidates.of(twin, ("hard-iron-step",), ()), beside)["hard-iron-step"]
-    refined = finer(found, twin, beside, 0.0)
+    refined = finer(found, twin, beside)
     assert refined.log != found.log
     assert refined.everywhere == found.everywhere

@@ -93,7 +93,6 @@ MISALIGNMENT = EffectTerm(
     ),
     unit="mrad",
     matters=5e-3,
-    ordinary=0.02,  # components of up to 0.010 in BROAD 01 and 06
     rivals=("gyro-scale", "cubic"),
     say=_say_misalignment,
     motion="turn about all three axes: pitch and roll by 45° or more",
@@ -108,7 +107,6 @@ TIMING = EffectTerm(
     ),
     unit="ms",
     matters=5e-3,
-    ordinary=0.05,  # 0.010 in BROAD, 0.029 in a Nexus 5
     rivals=("hysteresis", "g-sensitivity", "eddy-plane", "axis-delays"),
     parameters=("delay",),
     say=_say_timing,

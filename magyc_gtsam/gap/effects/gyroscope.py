@@ -83,7 +83,6 @@ SCALE = EffectTerm(
     # A wrong range or conversion is off by more than data sheets allow. At 0.08, five of twelve scales of 7 to 16 % put
     # into real logs (editions 390 to 392) were called a scale that depends on the rate.
     largest=0.4,
-    ordinary=0.01,  # 0.2 to 0.4 % in BROAD 01 and 06
     rivals=("misalignment", "gyro-quadratic"),
     parameters=RATE_MATRIX,
     say=_say_scale,

@@ -47,8 +47,6 @@ class EffectTerm:
         parameters: name of each value; repeated for several rows of a channel.
         prior: prior standard deviation of the value, in the unit of `matters`; 1 of most is larger than any value.
         largest: largest possible value, in the unit of `matters`; None for `RULES.farthest` prior deviations.
-        ordinary: size, SI, up to which every instrument has it; 0 if not every one has.
-        of_place: whether it is a change of the place's field itself, and not of the vehicle.
         settings: function that returns the grid of settings to search.
         refined: function that returns settings near a found one, finer than the grid; empty if there is no grid.
         block: function that returns the longest block of the held-out test, s, for a setting.
@@ -72,8 +70,6 @@ class EffectTerm:
     parameters: tuple[str, ...] = AXES
     prior: float = 1.0
     largest: float | None = None
-    ordinary: float = 0.0
-    of_place: bool = False
     settings: Settings = plain
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: RULES.block

@@ -16,7 +16,6 @@ from magyc_gtsam.gap.evidence.posterior import (
     Set,
     SetWeight,
     normalised,
-    sensor_variation,
     summed,
     weights,
 )
@@ -123,16 +122,11 @@ def _posterior(tree: Tree, said: dict[str, float], unsteady: float, coloured: bo
                 colour, key = colour_of(left), node.present
                 with_colour = tuple(sorted((*key, COLOUR)))
                 each.append(SetWeight(with_colour, node.log + PRIOR.named + colour.alike))
-                log = node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way
+                log = node.log + PRIOR.unknown + colour.one_way
                 each.append(SetWeight(key, log, power))
-    models = summed(each, sensor_variation(tree))
+    models = summed(each)
     for name, odds in said.items():  # beside every set
-        there = {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
-        if name == "spikes" and odds > 0:  # or a part of the unknown effect
-            for (key, unknown), log in models.items():
-                if unknown:
-                    models[key, unknown] = float(np.logaddexp(log, log + odds))
-        models |= there
+        models |= {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
     if np.isfinite(unsteady):
         for (key, unknown), log in list(models.items()):
             if not unknown:

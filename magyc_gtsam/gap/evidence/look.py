@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from magyc_gtsam.gap.effects import TERMS, sudden
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import DRIFT, Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
 from magyc_gtsam.gap.evidence.neighbours import neighbours
-from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
 from magyc_gtsam.gap.model.twin import Twin
@@ -29,25 +27,23 @@ class Look(NamedTuple):
     refined: frozenset[str]
 
     @classmethod
-    def of(cls, candidates: Candidates, twin: Twin, beside: Beside, power: float, names: Sequence[str]) -> Look:
-        """Test all candidates beside a set of effects, whose names explain a power."""
-        found = weigh(candidates, beside, power)
+    def of(cls, candidates: Candidates, twin: Twin, beside: Beside) -> Look:
+        """Test all candidates beside a set of effects."""
+        found = weigh(candidates, beside)
         refined = [each.name for each in best_of(found, PRIOR.beam)]
-        found |= {name: finer(found[name], twin, beside, power) for name in refined}
+        found |= {name: finer(found[name], twin, beside) for name in refined}
         # A product with another signal may be present beside its effect, and instead of a probable one: it is tested at
         # the setting of that effect, with the same penalty for the grid search.
         likely = [(each.name, each.setting, each.search) for each in best_of(found, PRIOR.beam) if each.log > 0]
         likely += [(term.name, term.setting, 0.0) for term in twin.model.terms]
         products = {f.name: (f, cost) for name, at, cost in likely for f in neighbours(name, at)}
         if products:
-            made = weigh(Candidates.of(twin, (), [f for f, _ in products.values()]), beside, power)
+            made = weigh(Candidates.of(twin, (), [f for f, _ in products.values()]), beside)
             found |= {name: each.less(products[name][1]) for name, each in made.items()}
-        if DRIFT not in names:
-            found |= one_way(candidates, beside, power)
         return cls(found, frozenset(refined))
 
 
-def finer(option: Weighed, twin: Twin, beside: Beside, power: float) -> Weighed:
+def finer(option: Weighed, twin: Twin, beside: Beside) -> Weighed:
     """Return a candidate with the cell of its most probable setting averaged over a finer grid, if it has one.
 
     The time of a jump is determined to a fraction of the grid's spacing; between two grid points most of its evidence
@@ -58,7 +54,7 @@ def finer(option: Weighed, twin: Twin, beside: Beside, power: float) -> Weighed:
         if not near:
             break
         closer = Candidates.of_parts(twin, [at_settings(twin, option.name, near)])
-        option, before = option.with_cell(weigh(closer, beside, power)[option.name]), option
+        option, before = option.with_cell(weigh(closer, beside)[option.name]), option
         if option.setting == before.setting or not sudden(option.name, option.setting):
             break
     return option

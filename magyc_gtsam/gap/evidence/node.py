@@ -66,7 +66,7 @@ class Node:
 
     @cached_property
     def _look(self) -> Look:
-        return Look.of(self.candidates, self.fit.twin, self.beside, self.named, self.names)
+        return Look.of(self.candidates, self.fit.twin, self.beside)
 
     @property
     def found(self) -> dict[str, Weighed]:
@@ -103,19 +103,13 @@ class Node:
     def _deviating_field(self, among: Sequence[int], powers: Mapping[tuple[int, int], float]) -> set[int]:
         """Return the terms that may be a deviation of the field variation from its form.
 
-        The field can explain most of what an effect does, but in place of the field the effect explains a good part. So
-        does an object in the surroundings that is a part of the field.
+        The field can explain most of what an effect does, but in place of the field the effect explains a good part.
         """
         if self.variation is None:
             return set()
-        terms, alone, noise = self.fit.model.terms, self._without_field.powers(among), self.variation.noise
-        result = set()
-        for i in among:
-            least = PRIOR.form_of_field if TERMS[terms[i].name].of_place else PRIOR.beside_field
-            in_place = alone[i, i] / noise**2
-            if powers[i, i] <= least * self.of_field or in_place <= PRIOR.in_place_of_field * self.of_field:
-                result.add(i)
-        return result
+        alone, noise, field = self._without_field.powers(among), self.variation.noise, self.of_field
+        beside = {i for i in among if powers[i, i] <= PRIOR.form * field}
+        return beside | {i for i in among if alone[i, i] / noise**2 <= PRIOR.in_place_of_field * field}
 
     @cached_property
     def _without_field(self) -> Explained:
@@ -136,18 +130,9 @@ class Node:
             if self.variation.evident:
                 result[FIELD_VARIATION] = self.of_field
             colour, contained = self.of_colour
-            if colour > PRIOR.form_of_colour * contained:
+            if colour > PRIOR.form * contained:
                 result[COLOUR] = 0.0
         return result
-
-    @property
-    def ordinary(self) -> frozenset[str]:
-        """Return the names that every instrument has in the size of the set's term."""
-        return frozenset(
-            term.name
-            for index, term in enumerate(self.fit.model.terms)
-            if np.abs(self.fit.value_of(index)[0]).max() <= TERMS[term.name].ordinary
-        )
 
     @property
     def present(self) -> tuple[str, ...]:
@@ -161,23 +146,13 @@ class Node:
         result: Array = Projector(twin.base_columns)(twin.residual().reshape(1, -1))[0]
         return result
 
-    @property
-    def named(self) -> float:
-        """Return the power that its named effects explain."""
-        return max(self.explained - self._varying, 0.0) if self.names else 0.0
-
     @cached_property
     def of_field(self) -> float:
         """Return the power that the field variation explains beside the named effects and coloured noise."""
-        return max(self._varying - self.of_colour[0], 0.0)
-
-    @cached_property
-    def _varying(self) -> float:
-        """Return the power of the field variation with coloured noise."""
         if self.variation is None:
             return 0.0
         without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)
-        return max(without - self.misfit * rows, 0.0)
+        return max(without - self.misfit * rows - self.of_colour[0], 0.0)
 
     @cached_property
     def of_colour(self) -> tuple[float, float]:

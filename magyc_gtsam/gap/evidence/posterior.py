@@ -16,7 +16,6 @@ from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import Weighed
-from magyc_gtsam.gap.model.field_variation import field_variation
 
 Set = tuple[tuple[str, ...], bool]  # names, and True if an unknown effect is present
 
@@ -29,49 +28,35 @@ class SetWeight(NamedTuple):
         log: nats.
         seen: power that an unknown effect explains beside the names; None without one.
         powers: that each name explains.
-        ordinary: names that every instrument has, in such a size.
     """
 
     names: tuple[str, ...]
     log: float
     seen: float | None = None
     powers: Mapping[str, float] = MappingProxyType({})
-    ordinary: frozenset[str] = frozenset()
 
 
 def weights(tree: Tree) -> Iterator[SetWeight]:
     """Yield the weights: each set as it is, with a small deviation from its form, or with an unknown effect."""
     for node in tree.nodes.values():
-        ordinary = node.ordinary
-        yield from (weight._replace(ordinary=ordinary) for weight in _weights_of(tree, node))
+        yield from _weights_of(tree, node)
 
 
 def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
     tried = tree.nodes.keys() | tree.refused
     key, powers = node.present, node.powers
     form, (foreign, seen) = _families(tree, node, powers)
-    log = np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log
-    yield SetWeight(key, log, None, powers)
+    yield SetWeight(key, float(np.logaddexp(node.log, node.log + form)), None, powers)
     if np.isfinite(foreign):
         yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
     for log, seen in _products(node, powers):
         yield SetWeight(key, node.log + log, seen, powers)
-    for less, log, seen in _imitated(node, powers):
-        yield SetWeight(less, node.log + log, seen, powers)
-    colour = None if COLOUR in node.names or node.variation is None else node.found.get(COLOUR)
-    if colour is not None and node.key_with(COLOUR) not in tried:
-        nats, _ = _above([colour], [_deviation(node, powers, colour)])
-        yield SetWeight(tuple(sorted((*key, COLOUR))), node.log + PRIOR.named + nats, None, powers)
     for gain in node.moving:  # the only unknown effect that resembles a field of the place
         yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
     for each in node.found.values():  # sets that were not fitted, in linearised form
-        more = tuple(sorted((*node.names, each.name)))
-        if each.name in TERMS and each.name not in node.names and more not in tried:
-            large = each.power > PRIOR.form_of_field * node.of_field
-            if large.any():
-                log = node.log + PRIOR.named + np.logaddexp.reduce(each.by_scale[large])
-                with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
-                yield SetWeight(tuple(sorted({*key, each.name})), log, None, with_it)
+        if each.name in TERMS and each.name not in node.names and node.key_with(each.name) not in tried:
+            with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
+            yield SetWeight(tuple(sorted({*key, each.name})), node.log + PRIOR.named + each.log, None, with_it)
 
 
 def _above(families: Sequence[Weighed], least: Sequence[float]) -> tuple[float, float]:
@@ -93,8 +78,7 @@ def _deviation(node: Node, powers: Mapping[str, float], family: Weighed) -> floa
     explain, and each of the varying field, which has no form.
     """
     of_names = powers.get(product_of(family.name) or "", family.contained)
-    form = PRIOR.form_of_colour if family.name == COLOUR else PRIOR.form
-    return PRIOR.form_of_field * node.of_field + form * of_names
+    return PRIOR.form * (node.of_field + of_names)
 
 
 def _families(tree: Tree, node: Node, powers: Mapping[str, float]) -> tuple[float, tuple[float, float]]:
@@ -122,7 +106,7 @@ def _products(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[float, 
     for name in {product_of(each) for each in node.found} - {None, *node.names}:
         found = [each for each in node.found.values() if product_of(each.name) == name]
         log, power = _above(found, [_deviation(node, powers, each) for each in found])
-        yield PRIOR.named + PRIOR.imitated + log - float(np.log(len(found))), power
+        yield PRIOR.named + PRIOR.product + log - float(np.log(len(found))), power
 
 
 def _generic(node: Node) -> list[Weighed]:
@@ -131,35 +115,11 @@ def _generic(node: Node) -> list[Weighed]:
     return [e for e in node.found.values() if e.name not in named and product_of(e.name) in (None, *node.names)]
 
 
-def _imitated(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[tuple[str, ...], float, float]]:
-    """Yield (other effects, nats, power) for each effect of a set being a part of an effect outside the catalogue.
-
-    The rest of that effect is a family of a power tied to that of the effect, and too small to be detected beside it
-    (a larger one: `summed`); or a product of the effect with another signal, larger than its deviation from
-    its form: then the effect does not have the form of the catalogue.
-    """
-    families = _generic(node)
-    if not families or not powers:
-        return
-    share = float(np.log(len(families)))
-    hidden = float(np.logaddexp.reduce([min(each.tied, 0.0) for each in families])) - share
-    for name, power in powers.items():
-        of_field = name == FIELD_VARIATION
-        rest = [each for each in families if of_field or product_of(each.name) == name]
-        least = PRIOR.form * (node.explained if of_field else max(power, node.of_field))
-        log, more = _above(rest, [least] * len(rest))
-        imitated = PRIOR.imitated - float(np.log(len(powers)))
-        seen = log - share + (imitated if of_field else PRIOR.unknown)
-        unseen = -np.inf if of_field else hidden + imitated
-        others = tuple(sorted(set(powers) - {name}))
-        yield others, float(np.logaddexp(seen, unseen)), power + more
-
-
 def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
     """Return the log probability that a family is more than the deviation from its form of each effect beside it."""
     least = 1.0
     children = (child for child in tree.nodes.values() if child.has_one_more_than(node))
-    for child in children if node.log + family.log > tree.best.log - PRIOR.close else ():
+    for child in children if node.log + family.log > tree.best.log - PRIOR.certain else ():
         found = child.found.get(family.name)
         if found is not None:
             more = found.power > PRIOR.form * (child.explained - node.explained)
@@ -168,51 +128,23 @@ def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
     return float(np.log(max(least, 1e-12)))
 
 
-def sensor_variation(tree: Tree) -> float:
-    """Return the nats of a variation in the sensor's axes, in place of the field's in the world's; 0 without one.
+def summed(each: Iterable[SetWeight]) -> dict[Set, float]:
+    """Return {set: log weight}, with the sets in which one cause outside the catalogue resembles some of the names.
 
-    A cause that moves with the sensor, like a magnet that rolls, has the first; a room has the second.
-    """
-    varying = [node for node in tree.nodes.values() if node.variation is not None]
-    best = max(varying, key=lambda node: node.log, default=None)
-    if best is None or best.variation is None:
-        return 0.0
-    return field_variation(best.fit.twin, in_world=False).gain - best.variation.gain
-
-
-def summed(each: Iterable[SetWeight], sensor: float = 0.0) -> dict[Set, float]:
-    """Return {set: log weight}, with the sets in which one cause outside the catalogue resembles some effects together.
-
-    Such a cause becomes more probable with the number of effects that it replaces: each of them has its own prior, the
-    cause only one. Usually a part of it is also detected as an unknown effect, larger than a deviation from the form of
-    all names, and what the largest effect does not explain of it has a power comparable to that effect's. If that is
-    less than the least share that the rest of one imitated effect may have, it is that effect. A detected cause may
-    replace the field variation, too, by one that moves with the sensor (`sensor_variation`), at the odds by which that
-    one explains less, beyond `world_ahead`. Correlated noise beside it is a part of it as probably as not. None
-    replaces effects on single samples.
+    A part of such a cause is also detected as an unknown effect, larger than a deviation from the form of all names.
+    The names are any of the catalogue and the varying field, but no effects on single samples. Correlated noise beside
+    it is a part of it as probably as not.
     """
     logs: dict[Set, list[float]] = {}
     for one in each:
         logs.setdefault((one.names, one.seen is not None), []).append(one.log)
-        replaced, seen = [name for name in one.names if name in TERMS or name == FIELD_VARIATION], one.seen or 0.0
-        least = PRIOR.form * sum(one.powers.values())
+        if one.seen is None or one.seen <= PRIOR.form * sum(one.powers.values()):
+            continue
+        replaced = [name for name in one.names if name in TERMS or name == FIELD_VARIATION]
         for count in range(1, len(replaced) + 1):
             for alike in combinations(replaced, count):
-                powers = [one.powers.get(name, 0.0) for name in alike]
-                largest, power = max(powers), sum(powers)
-                if min(powers) < PRIOR.form * largest:  # no larger than a deviation of the largest from its form
-                    continue
-                rest = power - largest + seen
-                if rest <= PRIOR.shares.min() * power:
-                    continue
-                evident = seen > least and rest > PRIOR.rest * largest
-                if FIELD_VARIATION in alike and not evident:
-                    continue
-                odds = (count - 1) * PRIOR.each_more + (0.0 if evident else PRIOR.all_named)
-                odds += len(one.ordinary.intersection(alike)) * PRIOR.rarely
-                odds += min(sensor + PRIOR.world_ahead, 0.0) if FIELD_VARIATION in alike else 0.0
                 others = tuple(name for name in one.names if name not in alike)
-                logs.setdefault((others, True), []).append(one.log + odds)
+                logs.setdefault((others, True), []).append(one.log)
     result = {key: float(np.logaddexp.reduce(values)) for key, values in logs.items()}
     for (names, unknown), log in list(result.items()):
         if unknown and COLOUR in names:

@@ -61,7 +61,7 @@ class SampleEffects:
         for name in ("spikes", *("tone",) * (_LINES + 1)):
             score, known = found[name], self.said.get(name, -np.inf)
             odds = log_odds(score)
-            if name not in self._names or odds < PRIOR.hardly_single or self._passed(score, known, best):
+            if name not in self._names or not score.significant or self._passed(score, known, best):
                 continue
             if name == "tone" and odds > 0 and sum(one.name == name for one in self.left_out) == _LINES:
                 without_lines, self._endless = self.recording, True
@@ -80,7 +80,7 @@ class SampleEffects:
         """Return whether an effect is explained otherwise, or was taken out before."""
         if score.name == "tone":
             return self._endless
-        form = score.statistic < PRIOR.form_of_field * best.of_field
+        form = score.statistic < PRIOR.form * best.of_field
         # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
         rounded = self._step is not None and score.value[0] < self._step
         # Effects that are there no longer were some of the wrong samples, which they hid.

@@ -95,7 +95,7 @@ class Tree:
     @property
     def outline(self) -> Outline:
         """Return what is taken over: the sets of effects that are probable, alone or with a candidate more."""
-        least = self.best.log - PRIOR.close
+        least = self.best.log - PRIOR.certain
         likely = [
             node
             for node in self.nodes.values()
@@ -124,7 +124,7 @@ class Tree:
         while frontier and len(self.nodes) < PRIOR.nodes:
             node = max(frontier, key=lambda each: each.log)
             frontier.remove(node)
-            if len(node.fit.model.terms) >= PRIOR.depth or node.log < self.best.log - PRIOR.close:
+            if len(node.fit.model.terms) >= PRIOR.depth or node.log < self.best.log - PRIOR.certain:
                 continue
             for child in self._children(node):
                 self.nodes[child.key] = child
@@ -183,7 +183,9 @@ class Tree:
                     continue
                 if self._fitted(node, option) is not None:
                     added.append(option)
-                if self.best.log > best.log + PRIOR.close:  # which is extended first, before the sets are too many
+                if (
+                    self.best.log > best.log + PRIOR.certain
+                ):  # which is extended first, before the sets are too many
                     return True
         return self.best is not best
 
@@ -229,7 +231,7 @@ class Tree:
             variation = field_variation(node.fit.twin)
             if len(variation.components):
                 sensor = field_variation(node.fit.twin, in_world=False).gain
-                undecided = sensor > PRIOR.world_ahead and variation.gain < sensor + PRIOR.world_ahead
+                undecided = sensor > PRIOR.certain and variation.gain < sensor + PRIOR.certain
                 node.moving.append((max(sensor, variation.gain) if undecided else sensor) - VARIES)
             if key not in self.nodes and len(variation.components):
                 yield self.fits.node((*node.names, FIELD_VARIATION), node.fit, node.search, variation)
@@ -250,13 +252,13 @@ class Tree:
                 if child is None:
                     continue
                 yield child
-            least = max(least, option.log - PRIOR.close)
+            least = max(least, option.log - PRIOR.certain)
             tried.append(option)
 
     def _child(self, node: Node, option: Weighed) -> Node | None:
         setting = dict(option.setting)
         if option.name not in node.refined:
-            setting = dict(finer(option, node.fit.twin, node.beside, node.named).setting)
+            setting = dict(finer(option, node.fit.twin, node.beside).setting)
         count = len(node.fit.twin.columns(option.name, setting).window)
         term = Active(option.name, setting, np.zeros(count), option.prior)
         model = with_term(node.fit.model, term)
@@ -278,7 +280,7 @@ class Tree:
                 if child is None or child.log < best.log + way * _MORE_MODES:
                     break
                 best = child
-        return best if best.log < self.best.log - PRIOR.close else self.fits.settled(best)
+        return best if best.log < self.best.log - PRIOR.certain else self.fits.settled(best)
 
 
 def _as_probable(node: Node, other: Node) -> bool:

@@ -36,8 +36,6 @@ class Weighed:
         setting: the most probable one.
         search: nats by which the average over settings is below the most probable one.
         contained: power of the part of the set's signal that it could explain without the set.
-        tied: nats of a family whose power is a share of that of the named effects, averaged over shares: of a cause
-            of which the named effects are a part.
         cell: log prior of the most probable setting.
         information, score: (k, k) and (k,) of its values there, in units of what matters.
         everywhere: log prior of each setting, and the information (k, k) of the values there.
@@ -50,7 +48,6 @@ class Weighed:
     setting: Setting
     search: float
     contained: float
-    tied: float
     cell: float
     information: Array
     score: Array
@@ -81,7 +78,7 @@ class Weighed:
 
     def less(self, search: float) -> Weighed:
         """Subtract the nats of a search that determined its columns."""
-        return replace(self, log=self.log - search, by_scale=self.by_scale - search, tied=self.tied - search)
+        return replace(self, log=self.log - search, by_scale=self.by_scale - search)
 
     def with_cell(self, finer: Weighed) -> Weighed:
         """Spread the prior share of its most probable setting over finer settings around it."""
@@ -94,7 +91,6 @@ class Weighed:
             by_scale=by_scale,
             power=self.power + share * (finer.power - self.power),
             search=finer.search + finer.log - log,
-            tied=float(np.logaddexp(self.tied, finer.tied + self.cell)),
             cell=self.cell + finer.cell,
             everywhere=self.everywhere,
         )
@@ -106,7 +102,6 @@ class _Part(NamedTuple):
     Attributes:
         log, power: (S,) nats and powers.
         contained: see `Weighed`.
-        tied: nats averaged over shares.
         setting: the setting.
         prior: its log prior.
         information, score: (k, k) and (k,) of the values.
@@ -115,15 +110,14 @@ class _Part(NamedTuple):
     log: Array
     power: Array
     contained: float
-    tied: float
     setting: Setting
     prior: float
     information: Array
     score: Array
 
 
-def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[str, Weighed]:
-    """Return the evidence of every candidate by name, beside a model whose named effects explain a power."""
+def weigh(candidates: Candidates, beside: Beside) -> dict[str, Weighed]:
+    """Return the evidence of every candidate by name, beside a model."""
     if not candidates.batches:
         return {}
     seen = beside.see(candidates.columns, candidates.score_bias)
@@ -131,12 +125,12 @@ def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[st
     parts: dict[str, list[_Part]] = {}
     for batch in candidates.batches:
         information, score = information_of(batch, beside.noise, seen.reach), seen.score[batch.rows]
-        log, powers, tied = _by_scale(batch, beside.noise, information, score, power)
+        log, powers = _by_scale(batch, information, score)
         contained = shared.contained(batch, beside.noise)
         for i, name in enumerate(batch.names):
             prior = float(batch.prior[i])
             at = batch.settings[i], prior, information[i], score[i]
-            parts.setdefault(name, []).append(_Part(log[i] + prior, powers[i], contained[i], tied[i] + prior, *at))
+            parts.setdefault(name, []).append(_Part(log[i] + prior, powers[i], contained[i], *at))
     return {name: _averaged(name, many) for name, many in parts.items()}
 
 
@@ -174,10 +168,8 @@ def information_of(batch: Batch, noise: float, reach: Array) -> Array:
     return result
 
 
-def _by_scale(
-    batch: Batch, noise: float, information: Array, score: Array, explained: float
-) -> tuple[Array, Array, Array]:
-    """Return nats and powers (B, S), and the nats (B,) averaged over shares of the explained power."""
+def _by_scale(batch: Batch, information: Array, score: Array) -> tuple[Array, Array]:
+    """Return nats and powers (B, S)."""
     value, vector = np.linalg.eigh(information)
     value = np.maximum(value, 0.0)
     rotated = np.einsum("bki,bk->bi", vector, score)
@@ -185,11 +177,7 @@ def _by_scale(
     variance = PRIOR.scales[:, None] ** 2
     share = variance / (1 + variance * value[:, None])
     power = ((share * rotated[:, None]) ** 2 * value[:, None] + share * value[:, None]).sum(axis=2)
-    whole = np.trace(batch.gram, axis1=1, axis2=2)[:, None, None] / noise**2
-    variance = PRIOR.shares[:, None] * explained / np.maximum(whole, 1e-12)
-    spread = 1 + variance * value[:, None]
-    tied = 0.5 * (rotated[:, None] ** 2 * variance / spread - np.log(spread)).sum(axis=2)
-    return log, power, np.logaddexp.reduce(tied, axis=1) - np.log(len(PRIOR.shares))
+    return log, power
 
 
 def nats_by_scale(names: Sequence[str], value: Array, rotated: Array) -> Array:
@@ -229,7 +217,6 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
     scales = float(np.log(len(PRIOR.scales)))
     total = float(np.logaddexp.reduce(by_scale)) - scales
     search = float(of_setting[best]) - many[best].prior - scales - total
-    tied = float(np.logaddexp.reduce([each.tied for each in many]))
     return Weighed(
         name,
         total,
@@ -238,7 +225,6 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
         many[best].setting,
         search,
         many[best].contained,
-        tied,
         many[best].prior,
         many[best].information,
         many[best].score,
