@@ -10,11 +10,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
-from magyc_gtsam.gap.evidence.colour import colour_of
+from magyc_gtsam.gap.evidence.colour import Colour, colour_of
+from magyc_gtsam.gap.evidence.coloured import beside_colour, coloured, in_place_of_noise, noise_left_by
 from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.posterior import (
     Set,
-    SetWeight,
     normalised,
     summed,
     weights,
@@ -23,6 +23,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.sample_effects import SampleEffects, change, left_by
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of
+from magyc_gtsam.gap.model.colour import ColouredNoise
 from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.root import root
 from magyc_gtsam.gap.samples.first import First
@@ -90,7 +91,15 @@ def answer(
             tree.complete()
             changed = tree.best is not grown and _taken_out(singles, tree.best, singles.recording)
         if not changed or turn == _ROUNDS:
-            posterior = _posterior(tree, said, singles.unsteady, COLOUR in names)
+            possible = [name for name in allowed if name != COLOUR or "quantisation" not in said]
+            models, noise = _weighed(tree, possible)
+            if noise is not None:
+                bare = tree.nodes[()].fit
+                del tree, grown  # as large as the next one
+                tree = coloured(noise, bare, possible, base.model.terms)
+                for key, log in beside_colour(tree).items():
+                    models[key] = float(np.logaddexp(models.get(key, -np.inf), log))
+            posterior = _posterior(models, said, singles.unsteady)
             return Answer(singles.recording, tree, posterior, tuple(singles.left_out), singles.unsteady)
         problem, outline = problem_of(singles.recording), tree.outline
         del tree  # as large as the next one
@@ -110,21 +119,24 @@ def _bare(model: Model, level: SensorNoise) -> Model:
     return Model(parameters, free, level)
 
 
-def _posterior(tree: Tree, said: dict[str, float], unsteady: float, coloured: bool) -> dict[Set, float]:
-    each = list(weights(tree))
-    if coloured and "quantisation" not in said:
-        for node in tree.nodes.values():
-            if node.variation is not None:
-                continue
-            left = node.beside.left()
-            power = float(left @ left) - tree.fits.freedom
-            if power > PRIOR.form * node.explained:
-                colour, key = colour_of(left), node.present
-                with_colour = tuple(sorted((*key, COLOUR)))
-                each.append(SetWeight(with_colour, node.log + PRIOR.named + colour.alike))
-                log = node.log + PRIOR.unknown + colour.one_way
-                each.append(SetWeight(key, log, power))
-    models = summed(each)
+def _weighed(tree: Tree, names: Sequence[str]) -> tuple[dict[Set, float], ColouredNoise | None]:
+    """Return {set: log weight}, and the coloured noise if it is more probable than any effect in its place.
+
+    Without it, the sets with coloured noise are those that were grown by white noise.
+    """
+    each, found = list(weights(tree)), list[tuple[Node, Colour]]()
+    for node in tree.nodes.values() if COLOUR in names else ():
+        left = node.beside.left()
+        if node.variation is None and float(left @ left) - tree.fits.freedom > PRIOR.form * node.explained:
+            found.append((node, colour_of(left)))
+    best = max(found, key=lambda one: one[0].log + one[1].alike, default=None)
+    if best is not None and best[0].log + PRIOR.named + best[1].alike > tree.best.log:
+        return summed(each), noise_left_by(best[0])
+    each += [weight for node, colour in found for weight in in_place_of_noise(node, colour)]
+    return summed(each), None
+
+
+def _posterior(models: dict[Set, float], said: dict[str, float], unsteady: float) -> dict[Set, float]:
     for name, odds in said.items():  # beside every set
         models |= {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
     if np.isfinite(unsteady):

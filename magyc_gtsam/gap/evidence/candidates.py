@@ -198,15 +198,19 @@ def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:
 def _courses(twin: Twin, coloured: bool) -> Stack:
     """Return functions of time of the hard iron in the sensor's axes, with the spectra of the field variation.
 
-    The fast ones are coloured noise, if that is a candidate; the others are an unknown effect.
+    The fast ones are coloured noise, if that is a candidate; the others are an unknown effect. Beside coloured noise
+    the fast ones are a part of it.
     """
     profiles, shapes = waves(twin.time)
+    fast = np.array(CORRELATION) <= RULES.longest_colour
+    if twin.problem.colour is not None:
+        shapes, fast = shapes[~fast], fast[~fast]
     rows = twin.whiten(Columns(per_axis(profiles), None)) * PRIOR.profile_field
     columns = np.concatenate([rows * np.repeat(shape, 3)[:, None] for shape in shapes])
     places = np.arange(len(columns)).reshape(len(shapes), -1)
-    noise = [coloured and period <= RULES.longest_colour for period in CORRELATION]
+    noise = (fast & coloured).tolist()
     parts: list[Part] = [
-        (place, COLOUR if fast else COURSE, {"first": float(k)}, -float(np.log(noise.count(fast))))
-        for k, (place, fast) in enumerate(zip(places, noise, strict=True))
+        (place, COLOUR if of_noise else COURSE, {"first": float(k)}, -float(np.log(noise.count(of_noise))))
+        for k, (place, of_noise) in enumerate(zip(places, noise, strict=True))
     ]
     return columns, np.zeros(len(columns)), parts

@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import dct
-from scipy.linalg import solve_toeplitz
 from scipy.special import logsumexp
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.model.colour import Autoregression
 
-_ORDERS = (1, 2, 3, 4, 6)
 _TIMES = (0.5, 1.0, 2.0, 4.0)  # windows, about s: correlation times of colour on white noise
 _SHARES = (0.1, 0.2, 0.5, 1.0, 2.0)  # power of the colour relative to the white noise
 
@@ -39,20 +38,7 @@ def colour_of(innovation: Array) -> Colour:
 
 def _autoregression(rows: Array) -> float:
     """Return the nats by BIC of a common autoregression of rows (k, n), against unit white noise."""
-    k, n = rows.shape
-    square = float((rows**2).sum())
-    mean = max(square / (k * n), 1.0)
-    best = -np.inf
-    for order in _ORDERS:
-        lagged = np.array([np.vdot(rows[:, lag:], rows[:, : n - lag]) for lag in range(order + 1)]) / (k * n)
-        first = lagged[:-1].copy()
-        first[0] *= 1 + 1e-9
-        polynomial = np.concatenate([[1.0], -solve_toeplitz(first, lagged[1:])])
-        left = sum(factor * rows[:, order - lag : n - lag] for lag, factor in enumerate(polynomial))
-        start = 0.5 * float((rows[:, :order] ** 2).sum()) / mean + 0.5 * k * order * np.log(mean)
-        log = 0.5 * square - 0.5 * left.size * (np.log(float((left**2).mean())) + 1) - start
-        best = max(best, log - 0.5 * (order + 1) * np.log(k * n))
-    return float(best)
+    return Autoregression.of(rows, len(rows)).nats(rows, len(rows))
 
 
 def _beside_white(rows: Array) -> float:

@@ -159,7 +159,7 @@ def prior_of(twin: Twin) -> tuple[Array, Array]:
 
 def _cost(twin: Twin) -> float:
     precision, value = prior_of(twin)
-    return float(twin.reduced.cost + 0.5 * precision @ value**2)
+    return float(twin.cost + 0.5 * precision @ value**2)
 
 
 def _stepped(model: Model, step: Array) -> Model:

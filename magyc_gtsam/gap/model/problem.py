@@ -20,6 +20,7 @@ from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.effects.turning import Turning
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.model.colour import ColouredNoise
 from magyc_gtsam.gap.model.rests import rate_at_rest
 from magyc_gtsam.recording import Recording
 
@@ -117,6 +118,7 @@ class Problem:
         magnetometer, gyroscope: acceleration and channels at each sensor's samples.
         rate_noise: short-term noise of the gyroscope, rad/s per sample. A missing effect raises the model's noise
             level, but not this one.
+        colour: of the magnetometer's noise; None if it is white.
     """
 
     recording: Recording
@@ -124,6 +126,7 @@ class Problem:
     magnetometer: Signals
     gyroscope: Signals
     rate_noise: float
+    colour: ColouredNoise | None = None
     _kept: list[tuple[Hashable, Integrated]] = field(default_factory=list, init=False, repr=False)
 
     @classmethod

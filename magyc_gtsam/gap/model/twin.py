@@ -133,14 +133,39 @@ class Twin:
 
     def residual(self) -> Array:
         """Return the whitened innovations (3, n) of the data."""
+        return self._without_colour(self.innovations())
+
+    def innovations(self) -> Array:
+        """Return the innovations (3, n) of the data in units of the sensors' noise, with their colour."""
         residuals = self.chain.residuals(self.state)
         window = residuals.window[None] * self.chain.window_scale
         link = residuals.link[None] * self.chain.link_scale
         return self._filter(window, link)[0]
 
+    @property
+    def along_field(self) -> Array:
+        """Return the unit vectors (3, n) along which an innovation is of the field's strength and of no direction."""
+        soft = self.windows.need("soft_iron")
+        normal = np.linalg.solve(soft @ soft, self.windows.need("field"))
+        result: Array = normal / np.linalg.norm(normal, axis=0)
+        return result
+
     def whiten(self, columns: Columns) -> Array:
         """Return the innovations (p, 3n) of regressors."""
-        return self._filter_of_units(columns.window, columns.link).reshape(len(columns.window), -1)
+        count = len(columns.window)
+        return self._without_colour(self._filter_of_units(columns.window, columns.link)).reshape(count, -1)
+
+    def _without_colour(self, rows: Array) -> Array:
+        """Return rows (…, 3, n) of innovations, whitened for the colour of their noise."""
+        colour = self.problem.colour
+        return rows if colour is None else colour.whiten(rows)
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares of the residual."""
+        if self.problem.colour is None or not np.isfinite(self.reduced.cost):
+            return float(self.reduced.cost)
+        return 0.5 * float((self.residual() ** 2).sum())
 
     @cached_property
     def _filter(self) -> ForwardFilter:
@@ -255,7 +280,8 @@ class Twin:
             middle = 0.5 * (slope[..., 1:] + slope[..., :-1]) / (2 * _DIFFERENCE)
             score_bias -= np.einsum("bn,pbn->p", weight[:, axis], middle)
         own = min(1.0, self.problem.rate_noise / self.model.noise.gyroscope)
-        return own**2 * score_bias
+        colour = self.problem.colour
+        return own**2 * score_bias * (1.0 if colour is None else colour.gain)
 
     @cached_property
     def _link_redundancy(self) -> Array:

@@ -26,7 +26,7 @@ from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.model.problem import Active, Model
+from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.samples.first import First
@@ -182,7 +182,7 @@ def _fitted(
     model = replace(
         node.fit.model, terms=_each_once(part for term in chosen for part in _parts(term, node.fit.twin.time))
     )
-    return refit(node.fit.twin.problem, model, short_term)
+    return refit(_uncoloured(node), model, short_term)
 
 
 def _each_once(terms: Iterable[Active]) -> tuple[Active, ...]:
@@ -192,8 +192,12 @@ def _each_once(terms: Iterable[Active]) -> tuple[Active, ...]:
 
 def _best(tree: Tree, short_term: SensorNoise) -> Refit:
     """Return the most probable model, whatever of it is named."""
-    fit = tree.best.fit
-    return refit(fit.twin.problem, fit.model, short_term)
+    return refit(_uncoloured(tree.best), tree.best.fit.model, short_term)
+
+
+def _uncoloured(node: Node) -> Problem:
+    """Return the data of a set, of which the calibration takes the noise to be white and widens its covariance."""
+    return replace(node.fit.twin.problem, colour=None)
 
 
 def _parts(term: Active, time: Array) -> Iterator[Active]:

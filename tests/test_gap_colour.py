@@ -1,0 +1,108 @@
+"""Coloured noise is the noise of every set of effects, once it is more probable than any effect in its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.model.base import base_model
+from magyc_gtsam.gap.model.colour import Autoregression, ColouredNoise
+from magyc_gtsam.gap.model.problem import Problem
+from magyc_gtsam.gap.model.refit import refit
+from magyc_gtsam.gap.model.twin import Twin
+
+
+def _turning(n: int) -> Array:
+    angle = 2 * np.pi * np.arange(n) / 120
+    return np.array([np.cos(angle), np.sin(angle), np.ones(n)]) / np.sqrt(2)
+
+
+def _innovations(n: int, along: float, across: float, seed: int = 0) -> tuple[Array, Array]:
+    """Innovations (3, n) with a correlation from each to the next along a direction that turns, and one across it."""
+    random, direction = np.random.default_rng(seed), _turning(n)
+    slow = lfilter([1.0], [1.0, -along], random.standard_normal(n))
+    fast = lfilter([1.0], [1.0, -across], random.standard_normal((3, n)), axis=1)
+    return direction * slow + fast - direction * (direction * fast).sum(axis=0), direction
+
+
+def test_what_is_left_is_white_along_and_across_the_field() -> None:
+    innovation, direction = _innovations(2000, 0.9, 0.3)
+    noise = ColouredNoise.of(innovation, direction)
+    left = noise.whiten(innovation)
+    along = (direction * left).sum(axis=0)
+    across = left - direction * along
+    assert along.var() == pytest.approx(1.0, abs=0.1)
+    assert (across**2).sum() == pytest.approx(2 * 2000, rel=1e-3)
+    assert abs(np.corrcoef(along[1:], along[:-1])[0, 1]) < 0.05
+    assert abs(np.vdot(across[:, 1:], across[:, :-1]) / (across**2).sum()) < 0.05
+    assert noise.nats(innovation) > 100
+    white = np.random.default_rng(1).standard_normal((3, 2000))
+    assert ColouredNoise.of(white, direction).nats(white) < 0
+
+
+def test_the_evidence_is_that_of_the_noise_as_a_density() -> None:
+    """Its log-likelihood is that of the covariance which the whitening has, less the penalty."""
+    innovation, direction = _innovations(40, 0.8, 0.4)
+    noise = ColouredNoise.of(innovation, direction)
+    matrix = noise.whiten(np.eye(120).reshape(120, 3, 40)).reshape(120, 120).T
+    flat = innovation.ravel()
+    np.testing.assert_allclose(matrix @ flat, noise.whiten(innovation).ravel(), atol=1e-12)
+    log = 0.5 * (flat @ flat - flat @ matrix.T @ matrix @ flat) + np.linalg.slogdet(matrix)[1]
+    penalty = sum(
+        0.5 * len(part.polynomial) * np.log(count * 40) for part, count in ((noise.along, 1), (noise.across, 2))
+    )
+    assert noise.nats(innovation) == pytest.approx(log - penalty)
+
+
+def _coloured_problem(seed: int) -> tuple[Problem, Twin]:
+    recording = mg.simulate("wide", 120, seed=seed, effects=("coloured-noise",)).recording
+    twin = base_model(recording, None, short_term_noise(recording)).twin
+    noise = ColouredNoise.of(twin.innovations(), twin.along_field)
+    return replace(twin.problem, colour=noise), twin
+
+
+def test_a_model_is_fitted_by_the_whitened_innovations() -> None:
+    """Its cost, its regressors and its minimum are those of the whitened innovations."""
+    problem, white = _coloured_problem(5)
+    result = refit(problem, white.model, None)
+    twin = result.twin
+    assert result.converged
+    np.testing.assert_allclose(twin.residual(), problem.colour.whiten(twin.innovations()))  # type: ignore[union-attr]
+    assert twin.cost == pytest.approx(0.5 * (twin.residual() ** 2).sum())
+    assert twin.cost < Twin.of(problem, white.model).cost
+    sigma = np.sqrt(np.diag(result.covariance))
+    for index in (7, 10):  # of hard iron and bias
+        ends = []
+        for side in (1, -1):
+            parameters = twin.model.parameters.copy()
+            parameters[index] += side * 0.1 * sigma[index]
+            moved = Twin.of(problem, replace(twin.model, parameters=parameters), twin)
+            ends.append(moved.residual().ravel())
+        slope = (ends[0] - ends[1]) / (0.2 * sigma[index])
+        column = twin.base_columns[index]
+        assert np.linalg.norm(slope - column) < 0.02 * np.linalg.norm(column)
+
+
+def test_the_order_is_that_of_the_noise() -> None:
+    random = np.random.default_rng(2)
+    rows = lfilter([1.0], [1.0, -1.2, 0.6], random.standard_normal((3, 3000)), axis=1)
+    found = Autoregression.of(rows, 3)
+    np.testing.assert_allclose(found.polynomial, [1.0, -1.2, 0.6], atol=0.05)
+    assert found.level == pytest.approx(1.0, rel=0.03)
+    assert found.nats(rows, 3) == pytest.approx(ColouredNoise.of(rows, _turning(3000)).nats(rows), rel=0.1)
+
+
+def test_an_effect_beside_coloured_noise_is_named() -> None:
+    """By white noise the sets follow the noise, and the effect is in none of them."""
+    effects = (("coloured-noise", 1.0), ("load-soft-iron", 1.5))
+    recording = mg.simulate("wide", 240, seed=0, effects=effects, channels=("current",)).recording
+    others = ("motor-current", "gain-drift", "soft-iron-step", "hard-iron-step", "timing")
+    gap = mg.find_gap(recording, candidates=[name for name, _ in effects] + list(others))
+    assert gap.verdict == "closed"
+    assert {effect.name for effect in gap.effects} == {"coloured-noise", "load-soft-iron"}
