@@ -75,7 +75,7 @@ class Tree:
         What is evident beside the best set is added first: exchanges beside a set that lacks it are of no use, and may
         be as many as there are sets to be fitted.
         """
-        while self._deepened() or self._exchanged() or self._deepened():
+        while self._deepened() or self._exchanged() or self._deepened() or self._left_out():
             pass
 
     @property
@@ -187,6 +187,19 @@ class Tree:
                     self.best.log > best.log + PRIOR.certain
                 ):  # which is extended first, before the sets are too many
                     return True
+        return self.best is not best
+
+    def _left_out(self) -> bool:
+        """Leave out the effects of the best set that add less than they cost; return whether a better set was found.
+
+        What was added first may explain nothing any more beside what was added later: a drift had stood for a scale that
+        grows with the rate, and for a gradient beside a current.
+        """
+        best = self.best
+        nats = best.of_terms.nats + PRIOR.named
+        for index in sorted(range(len(nats)), key=lambda one: nats[one]):
+            if nats[index] < 0:
+                self.less(best, index)
         return self.best is not best
 
     def _options(self, node: Node, instead_of: str | None = None) -> Iterator[Weighed]:
