@@ -192,8 +192,8 @@ class Tree:
     def _left_out(self) -> bool:
         """Leave out the effects of the best set that add less than they cost; return whether a better set was found.
 
-        What was added first may explain nothing any more beside what was added later: a drift had stood for a scale that
-        grows with the rate, and for a gradient beside a current.
+        What was added first may explain nothing any more beside what was added later: a drift had stood for a scale
+        that grows with the rate, and for a gradient beside a current.
         """
         best = self.best
         nats = best.of_terms.nats + PRIOR.named
