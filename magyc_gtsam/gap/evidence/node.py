@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from magyc_gtsam.gap.evidence.laplace import Explained, Terms
 from magyc_gtsam.gap.evidence.look import Look
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
-from magyc_gtsam.gap.model.field_variation import FieldVariation
+from magyc_gtsam.gap.model.field_variation import FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.refit import Refit
@@ -43,7 +43,6 @@ class Node:
         scales: (t,) the most probable scale of each term's values.
         beside: the marginalised set, beside which candidates are tested.
         candidates: of the tree.
-        moving: nats of a variation like that of the field, but in the sensor's axes: of an unknown effect.
     """
 
     names: tuple[str, ...]
@@ -57,7 +56,6 @@ class Node:
     scales: Array
     beside: Beside
     candidates: Candidates
-    moving: list[float] = field(default_factory=list)
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -67,6 +65,13 @@ class Node:
     @cached_property
     def _look(self) -> Look:
         return Look.of(self.candidates, self.fit.twin, self.beside)
+
+    @cached_property
+    def in_sensor(self) -> float:
+        """Return the nats of the field's variation in the sensor's axes, relative to that in the world's."""
+        if self.variation is None:
+            return 0.0
+        return field_variation(self.fit.twin, in_world=False).gain - self.variation.gain
 
     @property
     def found(self) -> dict[str, Weighed]:

@@ -46,17 +46,31 @@ def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
     tried = tree.nodes.keys() | tree.refused
     key, powers = node.present, node.powers
     form, (foreign, seen) = _families(tree, node, powers)
-    yield SetWeight(key, float(np.logaddexp(node.log, node.log + form)), None, powers)
+    known = float(np.logaddexp(node.log, node.log + form))
+    yield SetWeight(key, known, None, powers)
     if np.isfinite(foreign):
         yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
     for log, seen in _products(node, powers):
         yield SetWeight(key, node.log + log, seen, powers)
-    for gain in node.moving:  # the only unknown effect that resembles a field of the place
-        yield SetWeight(key, node.log + PRIOR.unknown + gain, 2 * gain, powers)
+    if node.variation is not None and not powers.keys() - {FIELD_VARIATION, COLOUR}:  # whatever the field absorbs
+        others = tuple(name for name in key if name != FIELD_VARIATION)
+        yield SetWeight(others, _with_sensor(node, known), node.of_field)
     for each in node.found.values():  # sets that were not fitted, in linearised form
         if each.name in TERMS and each.name not in node.names and node.key_with(each.name) not in tried:
             with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
             yield SetWeight(tuple(sorted({*key, each.name})), node.log + PRIOR.named + each.log, None, with_it)
+
+
+def _with_sensor(node: Node, known: float) -> float:
+    """Return the log weight of a variation that moves with the sensor, in place of the field's in a set.
+
+    Args:
+        node: the set.
+        known: its log weight with families that may be deviations of the field from its form. What the variation in
+            the sensor's axes explains beyond the field may be the same: it does not count twice.
+    """
+    ahead = node.in_sensor
+    return max(node.log + ahead, known + min(ahead, 0.0)) - PRIOR.named + PRIOR.unknown
 
 
 def _above(families: Sequence[Weighed], least: Sequence[float]) -> tuple[float, float]:

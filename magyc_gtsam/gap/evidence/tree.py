@@ -15,7 +15,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR, with_each_drift
-from magyc_gtsam.gap.evidence.joint_fits import VARIES, JointFits
+from magyc_gtsam.gap.evidence.joint_fits import JointFits
 from magyc_gtsam.gap.evidence.look import finer
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, one_event, related
 from magyc_gtsam.gap.evidence.prior import PRIOR
@@ -242,10 +242,6 @@ class Tree:
         if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.fits.freedom):
             key = node.key_with(FIELD_VARIATION)
             variation = field_variation(node.fit.twin)
-            if len(variation.components):
-                sensor = field_variation(node.fit.twin, in_world=False).gain
-                undecided = sensor > PRIOR.certain and variation.gain < sensor + PRIOR.certain
-                node.moving.append((max(sensor, variation.gain) if undecided else sensor) - VARIES)
             if key not in self.nodes and len(variation.components):
                 yield self.fits.node((*node.names, FIELD_VARIATION), node.fit, node.search, variation)
         colour, names = node.found.get(COLOUR), (*node.names, COLOUR)

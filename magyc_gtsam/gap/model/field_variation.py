@@ -31,6 +31,8 @@ _MODES = 60  # cosines of time
 CORRELATION = (1.0, 4.0, 16.0)  # s
 _AMPLITUDES = 1e-6 * 2.0 ** np.arange(-5.0, 4.0)  # T, over ρ, which is 4 or 5 in rooms
 _SHARES = (0.0, 0.5, 1.0, 2.0)  # amplitude with attitude over that along the way; attitude alone is not the place
+# Further ones of what moves with the sensor: a servo may follow the attitude alone.
+_OF_ATTITUDE = (4.0, 8.0, 16.0)
 COMBINATIONS = len(CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
 _FAST = tuple(time for time in CORRELATION if time <= RULES.longest_colour)  # s, of coloured noise
 COLOURS = len(_FAST) * len(_AMPLITUDES)
@@ -95,7 +97,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
             sensor's axes, which are a cause that moves with the sensor.
         coloured: whether the magnetometer may have coloured noise, too: the fast functions of time in its own axes.
     """
-    put = _in_world if in_world else _in_sensor
+    put, shares = (_in_world, _SHARES) if in_world else (_in_sensor, (*_SHARES, *_OF_ATTITUDE))
     project = Projector(twin.base_columns)
     v = project(twin.residual().reshape(1, -1))[0]
     cosines, courses = waves(twin.time)
@@ -112,7 +114,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
 
     def deviations(shape: int, share: int, colour: int) -> Array:
         along = _deviation(shapes[shape])
-        own = [shapes[shape], np.full(turned, _SHARES[share] * along)]
+        own = [shapes[shape], np.full(turned, shares[share] * along)]
         return np.concatenate([*own, colours[colour]] if coloured else own)
 
     @cache  # many of the same points are evaluated
@@ -124,7 +126,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
 
     place, tint = (len(shapes) // 3, 1), (len(colours) // 2 if coloured else 0, 0)
     for _ in range(_SWEEPS if coloured else 1):
-        place = _climbed(partial(log_of, tint=tint), place, len(courses), len(_SHARES))
+        place = _climbed(partial(log_of, tint=tint), place, len(courses), len(shares))
         tint = _climbed(partial(log_of, place), tint, len(fast), 1) if coloured else tint
     (shape, share), colour = place, tint[0]
     chosen = deviations(shape, share, colour)
@@ -136,7 +138,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     return FieldVariation(
         log - constant,
         along,
-        _SHARES[share] * along,
+        shares[share] * along,
         _deviation(colours[colour]) * noise,
         _FAST[(colour - 1) % len(_FAST)] if colour else 0.0,
         noise,
