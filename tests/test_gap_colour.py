@@ -9,8 +9,12 @@ import pytest
 from scipy.signal import lfilter
 
 import magyc_gtsam as mg
+from magyc_gtsam.blindtest.generator import generate
+from magyc_gtsam.blindtest.scenarios import Scenario, seed_of
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.decision import UNKNOWN
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.colour import Autoregression, ColouredNoise
 from magyc_gtsam.gap.model.problem import Problem
@@ -106,3 +110,22 @@ def test_an_effect_beside_coloured_noise_is_named() -> None:
     gap = mg.find_gap(recording, candidates=[name for name, _ in effects] + list(others))
     assert gap.verdict == "closed"
     assert {effect.name for effect in gap.effects} == {"coloured-noise", "load-soft-iron"}
+
+
+def test_what_is_in_no_catalogue_is_not_taken_for_coloured_noise() -> None:
+    """A loose magnet leaves coloured innovations, too, but depends on the attitude, which explains more."""
+    name = "foreign-wide-loose-magnet-x1-00"
+    gap = mg.find_gap(
+        generate(Scenario(name, "foreign", "wide", seed_of(name, 405), (("loose-magnet", 1.0),))).recording
+    )
+    assert gap.verdict == "unknown"
+    assert gap.probabilities[UNKNOWN] > 0.95
+    assert all(gap.probabilities.get(name, 0.0) < 0.5 for name in TERMS)
+
+
+def test_an_effect_that_explains_nothing_beside_later_ones_is_left_out() -> None:
+    """A drift stands for a scale that grows with the rate, until that is found; by itself it had 0.98."""
+    name = "pair-moderate-gyro-quadratic+temperature-gyro-022"
+    effects = (("gyro-quadratic", 1.0), ("temperature-gyro", 1.0))
+    gap = mg.find_gap(generate(Scenario(name, "pair", "moderate", seed_of(name, 409), effects)).recording)
+    assert set(gap.names) == {"gyro-quadratic", "temperature-gyro"}

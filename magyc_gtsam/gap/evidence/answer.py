@@ -10,11 +10,12 @@ import numpy as np
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
-from magyc_gtsam.gap.evidence.colour import Colour, colour_of
+from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.coloured import beside_colour, coloured, in_place_of_noise, noise_left_by
 from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.posterior import (
     Set,
+    SetWeight,
     normalised,
     summed,
     weights,
@@ -120,20 +121,21 @@ def _bare(model: Model, level: SensorNoise) -> Model:
 
 
 def _weighed(tree: Tree, names: Sequence[str]) -> tuple[dict[Set, float], ColouredNoise | None]:
-    """Return {set: log weight}, and the coloured noise if it is more probable than any effect in its place.
+    """Return {set: log weight}, and the coloured noise if it is there more probably than not.
 
-    Without it, the sets with coloured noise are those that were grown by white noise.
+    With it, the sets with coloured noise are left out, which were grown by white noise.
     """
-    each, found = list(weights(tree)), list[tuple[Node, Colour]]()
+    each, beside, found = list(weights(tree)), list[SetWeight](), list[tuple[float, Node]]()
     for node in tree.nodes.values() if COLOUR in names else ():
         left = node.beside.left()
         if node.variation is None and float(left @ left) - tree.fits.freedom > PRIOR.form * node.explained:
-            found.append((node, colour_of(left)))
-    best = max(found, key=lambda one: one[0].log + one[1].alike, default=None)
-    if best is not None and best[0].log + PRIOR.named + best[1].alike > tree.best.log:
-        return summed(each), noise_left_by(best[0])
-    each += [weight for node, colour in found for weight in in_place_of_noise(node, colour)]
-    return summed(each), None
+            beside += in_place_of_noise(node, colour_of(left))
+            found.append((beside[-2].log, node))
+    models = summed([*each, *beside])
+    likely = np.logaddexp.reduce([-np.inf, *(log for log, _ in found)])
+    if likely > np.logaddexp.reduce(list(models.values())) - np.log(2):
+        return summed(each), noise_left_by(max(found, key=lambda one: one[0])[1])
+    return models, None
 
 
 def _posterior(models: dict[Set, float], said: dict[str, float], unsteady: float) -> dict[Set, float]:

@@ -58,8 +58,9 @@ def beside_colour(tree: Tree) -> dict[Set, float]:
         for (names, unknown), log in summed(weights(tree)).items()
     }
     colour = colour_of(best.fit.twin.innovations().ravel())
-    instead = PRIOR.unknown + colour.one_way - (PRIOR.named + colour.alike)
-    return {**result, (best.present, True): best.log + there + instead}
+    _, unknown = in_place_of_noise(best, colour)
+    ahead = there - (PRIOR.named + colour.alike)
+    return result | summed([unknown._replace(log=unknown.log + ahead, powers=best.powers)])
 
 
 def in_place_of_noise(node: Node, colour: Colour) -> tuple[SetWeight, SetWeight]:
