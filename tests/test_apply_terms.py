@@ -69,7 +69,7 @@ def test_a_delay_is_taken_from_the_stamps(way: list[str], tmp_path: Path) -> Non
     if way != ["out.mcap"]:
         return
     again = mg.find_gap(applied)
-    assert (again.verdict, gap.verdict) == ("none", "closed")
+    assert (again.verdict, gap.verdict) == ("none", "closed"), (again.sentence, again.probabilities)
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def test_an_improbable_effect_is_not_named(looked: Looked) -> None:
 
 def test_something_is_missing_only_where_that_is_probable(looked: Looked) -> None:
     """Any effect that is not named counts, not only one outside the catalogue."""
-    least = PRIOR.named_from
+    least = PRIOR.missing_from
     half = 0.5 * (least + 0.01)
     assert (
         gap_by(looked, {((), False): 0.99 - least, (("timing",), False): half, ((), True): half}).verdict

@@ -19,10 +19,11 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
 from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
 from magyc_gtsam.gap.model.base import base_model, problem_of
+from magyc_gtsam.gap.model.columns import Columns
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.refit import refit, with_term
-from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.outcome.worth import held_out_gain, interleaved
 from magyc_gtsam.gap.samples.noise_effects import coloured_noise, quantisation, sample_hold, tone
 from magyc_gtsam.gap.samples.wrong_samples import memory, spikes

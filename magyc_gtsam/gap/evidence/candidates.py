@@ -17,9 +17,10 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.iron import irregular_drifts
 from magyc_gtsam.gap.evidence.generic import Family, families
 from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.model.columns import Columns, together
 from magyc_gtsam.gap.model.field_variation import CORRELATION, waves
 from magyc_gtsam.gap.model.problem import Active, Model
-from magyc_gtsam.gap.model.twin import Columns, Twin, together
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, setting, and its log prior

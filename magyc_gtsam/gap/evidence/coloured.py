@@ -66,6 +66,6 @@ def beside_colour(tree: Tree) -> dict[Set, float]:
 def in_place_of_noise(node: Node, colour: Colour) -> tuple[SetWeight, SetWeight]:
     """Return the weights of a set with coloured noise, and with an unknown effect along one direction in its place."""
     left = node.fit.twin.innovations()
-    log = node.log + PRIOR.unknown + colour.one_way
+    log = node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way
     with_colour = SetWeight(tuple(sorted((*node.present, COLOUR))), node.log + PRIOR.named + colour.alike)
     return with_colour, SetWeight(node.present, log, float((left**2).sum()) - left.size)

@@ -12,7 +12,8 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import per_axis
 from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
-from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.model.columns import Columns
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 Profiles = Callable[[Signals], Array]

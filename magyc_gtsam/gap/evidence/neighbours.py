@@ -20,7 +20,8 @@ from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.generic import Family
-from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.model.columns import Columns
+from magyc_gtsam.gap.model.twin import Twin
 
 Product = Callable[[Array, Signals], Array]
 

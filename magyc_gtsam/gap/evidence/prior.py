@@ -49,8 +49,9 @@ class Prior:
             Judged on the put-in effects of editions 387 and 388.
         unrivalled: share of what an effect explains, below which its rivals in its place are not tried beside one more
             effect. At a half an exchange that succeeds there is missed in one of 64 logs.
-        named_from: probability above which an effect is named, and above which something without a name is said to be
-            present: a wrong name, or a calibration that is wrongly trusted, costs as much as four missing ones.
+        named_from: probability above which an effect is named: a wrong name costs as much as four missing ones.
+        missing_from: probability above which something without a name is said to be present: the calibration is then
+            not trusted. At 0.8 two minutes of the bundled dive, in which nothing is missing, were not (0.87).
         improbable: probability below which an effect is neither a rival nor possible.
         certain: nats for what is detected with certainty or not at all. A set by as much less probable is not extended.
             By as much a varying field must explain more than the same variation in the sensor's axes, so that no
@@ -60,6 +61,7 @@ class Prior:
         whole: probability that a family is present as a whole, not in one of its parts.
         beyond: largest scale of an effect's values, relative to its largest possible value.
         misfit: standard deviations of white noise's mean square from which a varying field is tested.
+        one_of_families: log number of families, one of which is colour along one direction.
     """
 
     scales: Array = field(default_factory=lambda: 2.0 ** np.arange(-2.0, 6.0))
@@ -81,11 +83,13 @@ class Prior:
     alike: float = 3.0
     unrivalled: float = 1 / 3
     named_from: float = 0.8
+    missing_from: float = 0.9
     improbable: float = 0.05
     certain: float = 12.0
     whole: float = 0.5
     beyond: float = 0.5
     misfit: float = 3.0
+    one_of_families: float = float(np.log(20))
 
 
 PRIOR = Prior()

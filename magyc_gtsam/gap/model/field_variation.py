@@ -23,8 +23,9 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import per_axis
+from magyc_gtsam.gap.model.columns import Columns
 from magyc_gtsam.gap.model.projector import Projector
-from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 _MODES = 60  # cosines of time

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -288,7 +288,7 @@ def integrated(problem: Problem, model: Model) -> Integrated:
     windows = samples.integrate(bias, delay)
     when = problem.magnetometer.time - delay
     mean_rate = problem.mean(np.stack([np.interp(when, problem.gyroscope.time, axis) for axis in rate]))
-    turning = Turning(problem.gyroscope.time, rate, when, problem.mean)
+    turning = Turning(problem.gyroscope.time, rate, when, partial(_over_windows, problem.samples))
     result = Integrated(samples, rate, windows, mean_rate, turning)
     problem._kept[:] = [*problem._kept[1 - _KEPT :], (key, result)]
     return result

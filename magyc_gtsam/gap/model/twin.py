@@ -9,10 +9,9 @@ together, without a loop over windows; their sum of squares is the cost of the f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,31 +27,12 @@ from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.gap.model.columns import Columns
 from magyc_gtsam.gap.model.model_chain import build, to_sensor_of, window_signals
 from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by
 
 _DIFFERENCE = 1e-3  # rad/s
 _BIAS_STEP, _NEARBY = 1e-6, 1e-6  # steps of numerical derivatives: rad/s of the bias, relative of the soft iron
-
-
-class Columns(NamedTuple):
-    """Unwhitened regressors.
-
-    Attributes:
-        window: (p, 3, n) of the windows, T per unit.
-        link: (p, 3, n − 1) of the links, rad per unit; None for zero.
-        score_bias: (p,) score bias (`Twin.rate_score_bias`); None for zero.
-    """
-
-    window: Array
-    link: Array | None
-    score_bias: Array | None = None
-
-
-def together(parts: Sequence[Columns]) -> Columns:
-    """Return the columns of several parts, all on the same sensor, without their score bias."""
-    links = [part.link for part in parts if part.link is not None]
-    return Columns(np.concatenate([part.window for part in parts]), np.concatenate(links) if links else None)
 
 
 def _contains_rate(name: str) -> bool:

@@ -115,9 +115,9 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     told = {*given, *(name for one in found for name in (one.name, *rivals.get(one.name, ())))}
     told |= _held(told)
     of_catalogue, outside = _unnamed(posterior, told)
-    left = _family(said) if of_catalogue + outside > PRIOR.named_from else ()
+    left = _family(said) if of_catalogue + outside > PRIOR.missing_from else ()
     absent = {n: p for n, p in stated.items() if n in {*_EXPLAIN, UNKNOWN} - told and p > PRIOR.improbable}
-    unsure = absent if left and outside <= PRIOR.named_from and absent.keys() & TERMS.keys() else {}
+    unsure = absent if left and outside <= PRIOR.missing_from and absent.keys() & TERMS.keys() else {}
     if _drift_apart(fitted) or (left and "timing" not in rivals and _drift_apart(_best(said.tree, short_term))):
         left = (CLOCK_DRIFT, *left)
     return Named(said.recording, first, said.tree, fitted, tuple(found), left, stated, unsure)
