@@ -148,7 +148,7 @@ def test_a_larger_share_is_kept_where_the_field_varies() -> None:
     assert stated == pytest.approx(
         {FIELD_VARIATION: certain, "cubic": sure, "spikes": sure, UNKNOWN: 1 - sure, NOTHING: 0.0}
     )
-    assert PRIOR.named_from < sure
+    assert PRIOR.named_from < PRIOR.missing_from < sure
 
 
 @pytest.mark.parametrize("seen", [None, 100.0])

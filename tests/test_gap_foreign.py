@@ -1,4 +1,4 @@
-"""What is in no catalogue is given no name: neither the field of the place, nor what every instrument has."""
+"""What moves with the sensor and is in no catalogue is not called the field of the place."""
 
 from __future__ import annotations
 

@@ -125,16 +125,18 @@ def _weighed(tree: Tree, names: Sequence[str]) -> tuple[dict[Set, float], Colour
 
     With it, the sets with coloured noise are left out, which were grown by white noise.
     """
-    each, beside, found = list(weights(tree)), list[SetWeight](), list[tuple[float, Node]]()
+    each, with_colour, instead = list(weights(tree)), list[tuple[SetWeight, Node]](), list[SetWeight]()
     for node in tree.nodes.values() if COLOUR in names else ():
         left = node.beside.left()
         if node.variation is None and float(left @ left) - tree.fits.freedom > PRIOR.form * node.explained:
-            beside += in_place_of_noise(node, colour_of(left))
-            found.append((beside[-2].log, node))
-    models = summed([*each, *beside])
-    likely = np.logaddexp.reduce([-np.inf, *(log for log, _ in found)])
+            one, unknown = in_place_of_noise(node, colour_of(left))
+            with_colour.append((one, node))
+            instead.append(unknown)
+    models = summed([*each, *(one for one, _ in with_colour), *instead])
+    likely = np.logaddexp.reduce([-np.inf, *(one.log for one, _ in with_colour)])
     if likely > np.logaddexp.reduce(list(models.values())) - np.log(2):
-        return summed(each), noise_left_by(max(found, key=lambda one: one[0])[1])
+        _, best = max(with_colour, key=lambda found: found[0].log)
+        return summed(each), noise_left_by(best)
     return models, None
 
 

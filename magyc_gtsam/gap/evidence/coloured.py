@@ -59,6 +59,7 @@ def beside_colour(tree: Tree) -> dict[Set, float]:
     }
     colour = colour_of(best.fit.twin.innovations().ravel())
     _, unknown = in_place_of_noise(best, colour)
+    # That effect is weighed against the noise by one autoregression for each, of what the same set leaves.
     ahead = there - (PRIOR.named + colour.alike)
     return result | summed([unknown._replace(log=unknown.log + ahead, powers=best.powers)])
 

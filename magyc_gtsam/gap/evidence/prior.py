@@ -54,10 +54,6 @@ class Prior:
             not trusted. At 0.8 two minutes of the bundled dive, in which nothing is missing, were not (0.87).
         improbable: probability below which an effect is neither a rival nor possible.
         certain: nats for what is detected with certainty or not at all. A set by as much less probable is not extended.
-            By as much a varying field must explain more than the same variation in the sensor's axes, so that no
-            unknown cause is taken for it: it is 28 to 137 in four real rooms, and at most 8 for three foreign effects
-            of edition 314. In place of the field alone, such a cause must explain as much itself: clean recordings
-            reach 6 by chance.
         whole: probability that a family is present as a whole, not in one of its parts.
         beyond: largest scale of an effect's values, relative to its largest possible value.
         misfit: standard deviations of white noise's mean square from which a varying field is tested.

@@ -183,9 +183,8 @@ class Tree:
                     continue
                 if self._fitted(node, option) is not None:
                     added.append(option)
-                if (
-                    self.best.log > best.log + PRIOR.certain
-                ):  # which is extended first, before the sets are too many
+                # A set that is far ahead is extended first, before the sets are too many.
+                if self.best.log > best.log + PRIOR.certain:
                     return True
         return self.best is not best
 
