@@ -110,6 +110,7 @@ def test_an_effect_beside_coloured_noise_is_named() -> None:
     gap = mg.find_gap(recording, candidates=[name for name, _ in effects] + list(others))
     assert gap.verdict == "closed"
     assert {effect.name for effect in gap.effects} == {"coloured-noise", "load-soft-iron"}
+    assert "in a varying field or correlated noise the correction does not improve" in gap.sentence
 
 
 def test_what_is_in_no_catalogue_is_not_taken_for_coloured_noise() -> None:

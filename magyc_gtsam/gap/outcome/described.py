@@ -20,8 +20,10 @@ from magyc_gtsam.recording.axes import OWN_AXES
 FIELD_VARIES = "field of the place that varies"
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _OPEN = "named, not corrected: this motion does not determine all of its values"
+# Coloured noise passes for a varying field in the model that is corrected, whose noise is white.
 _UNPAID = (
-    "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
+    "named, not corrected: in a varying field or correlated noise the correction does not improve the prediction of "
+    "held-out data"
 )
 
 
