@@ -80,8 +80,9 @@ class Rules:
     # times the level beside it, above which the gyroscope has a line: white noise has 6, hand motions 32 at most, a
     # simulated swell 10,000
     motion_line: float = 30.0
-    # share of a constant's power that uneven times put at a frequency, above which it is excluded
-    pattern: float = 1e-3
+    # times its median, above which the periodogram of uneven times has a line, whose frequency is excluded: a ninth
+    # harmonic of BROAD 01's repeated rows, called a tone, has 200; 1.5 % of the frequencies of BROAD are excluded
+    pattern: float = 100.0
 
     # Effects and families.
     block: float = 10.0  # s, of a held-out block at most

@@ -25,6 +25,7 @@ _NEAR = 10  # bins on each side of a line that must be far below it; otherwise i
 _LEAKS = 2  # bins on each side of a line that its spectral leakage reaches
 _CELLS = 4  # of the grid per sample; at half the sampling rate, rounding to them loses 3 % of an amplitude
 _LONGEST = 8.0  # longest duration, in median steps per sample, for which gaps in the recording are kept
+_ROUNDING = 1e-12  # power of rounding errors, per sample, which have no lines
 _FLAT = 1e-6  # of the largest variance, below which a direction contains no information
 
 
@@ -128,8 +129,8 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     """Return the periodogram as `_periodogram`, below half the sampling rate, of samples at uneven times.
 
     Each sample is put in the nearest cell of a fine grid. Gaps are empty cells, across which a line keeps its phase. If
-    the times are uneven in a pattern, its frequencies are excluded, and the signal below `edge` Hz is removed first,
-    because it has aliases beside them.
+    the times are uneven in a pattern, its frequencies are excluded: what is constant, or depends on how late a sample
+    is, has lines there. The signal below `edge` Hz is removed first, because it has aliases beside them.
     """
     step = float(np.median(np.diff(time))) / _CELLS
     cell = np.round((time - time[0]) / step).astype(int)
@@ -138,15 +139,24 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     elif edge and (np.diff(cell) != _CELLS).any():
         rows = max(int(0.5 / edge * len(time) / (time[-1] - time[0])), 1)
         innovation = innovation - uniform_filter1d(innovation, rows, axis=1)
-    grid = np.zeros((4, next_fast_len(int(cell[-1]) + _CELLS)))
-    np.add.at(grid.T, cell, np.concatenate([innovation, np.ones((1, len(time)))]).T)
+    grid = np.zeros((5, next_fast_len(int(cell[-1]) + _CELLS)))
+    np.add.at(grid.T, cell, np.concatenate([innovation, np.ones((1, len(time))), [_lateness(cell)]]).T)
     power, frequency = _periodogram(grid[:3], 1 / step)
-    pattern, _ = _periodogram(grid[3:], 1 / step)
-    of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > RULES.pattern * len(time) ** 2
-    power = np.where(of_pattern, 0.0, power * grid.shape[1] / len(time))
     # A line that leaks across half the sampling rate meets its own alias there.
     below = frequency < 0.5 / (_CELLS * step) - (_LEAKS + 0.5) * frequency[0]
-    return power[below], frequency[below]
+    frequency, of_pattern = frequency[below], np.zeros(below.sum(), dtype=bool)
+    for signal in grid[3:]:
+        pattern = _periodogram(signal[None], 1 / step)[0][below]
+        level = np.maximum(np.maximum(np.median(pattern), _running_median(pattern)), _ROUNDING * len(time))
+        of_pattern |= maximum_filter1d(pattern / level, 2 * _LEAKS + 1) > RULES.pattern
+    return np.where(of_pattern, 0.0, power[below] * grid.shape[1] / len(time)), frequency
+
+
+def _lateness(cell: Array) -> Array:
+    """Return by how much of a sample's step each sample is later than evenly spaced ones, at most one."""
+    late = cell / np.diff(cell).mean() - np.arange(len(cell))
+    result: Array = np.clip(late - uniform_filter1d(late, _SMOOTH), -1, 1)
+    return result
 
 
 def _periodogram(innovation: Array, rate: float) -> tuple[Array, Array]:
