@@ -2,7 +2,8 @@
 
 For innovations r (3n,) of variance ρ² and columns N with prior variances v (infinite for parameters), marginalisation
 is weighting with M = (I − Nᵀ H⁻¹ N) / ρ², H = N Nᵀ + ρ² diag(1/v). The score bias of a column (due to the gyroscope's
-noise in its own regressors) is projected in the same way.
+noise in its own regressors) is projected in the same way. With H = L Lᵀ, only the few products of N with other columns
+are multiplied by L⁻¹, not the long rows of N.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.linalg.blas import dtrsm
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.model.field_variation import FieldVariation
@@ -46,8 +48,8 @@ class Beside:
         _parameters: number of those without a prior.
         _unit: (m,) units of the columns: 1 / |N| without a prior, √v with one.
         _lower: (m, m) Cholesky factor L of H in these units.
-        _white: (m, 3n) L⁻¹ N / ρ, the columns in these units.
-        _residual: (3n,) r / ρ.
+        _rest: (1 + before, 3n) r / ρ, then the columns before those of effects, in their units / ρ.
+        _effects: (m − before, 3n) the columns of effects, in their units / ρ.
         _inner, _solved: (m,) L⁻¹ N r / ρ², without and with the score bias.
     """
 
@@ -56,34 +58,55 @@ class Beside:
     _parameters: int
     _unit: Array
     _lower: Array
-    _white: Array
-    _residual: Array
+    _rest: Array
+    _effects: Array
     _inner: Array
     _solved: Array
 
     @classmethod
     def of(
-        cls, residual: Array, flat: Array, soft: Array, variance: Array, score_bias: Array, noise: float = 1.0
+        cls,
+        residual: Array,
+        flat: Array,
+        soft: Array,
+        variance: Array,
+        score_bias: Array,
+        noise: float = 1.0,
+        gram: Array | None = None,
     ) -> Beside:
-        """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,)."""
-        size = np.sqrt(np.einsum("pn,pn->p", flat, flat))
+        """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,).
+
+        Args:
+            residual, flat, soft, variance, score_bias: the innovations, and these.
+            noise: ρ.
+            gram: (k, k) soft softᵀ, if it is known.
+        """
+        size, count = np.sqrt(np.einsum("pn,pn->p", flat, flat)), len(flat)
         unit = np.concatenate([1 / np.where(size > 0, size, 1.0), np.sqrt(variance)])
-        rows = np.concatenate([flat, soft]) * (unit / noise)[:, None]
-        prior = np.concatenate([np.full(len(flat), _RIDGE / noise**2), np.ones(len(soft))])
-        lower = cholesky(rows @ rows.T + np.diag(prior), lower=True, check_finite=False)
-        white = solve_triangular(lower, rows, lower=True, check_finite=False)
-        inner = white @ residual / noise
+        rest = np.concatenate([residual[None], flat, soft])
+        rest[0] /= noise
+        rest[1:] *= (unit / noise)[:, None]
+        flat, soft, of_soft = rest[1 : count + 1], rest[count + 1 :], unit[count:] / noise
+        across = flat @ soft.T
+        own = soft @ soft.T if gram is None else gram * (of_soft[:, None] * of_soft)
+        ridge, prior = _RIDGE / noise**2 * np.eye(count), np.eye(len(soft))
+        square = np.block([[flat @ flat.T + ridge, across], [across.T, own + prior]])
+        lower = cholesky(square, lower=True, overwrite_a=True, check_finite=False)
+        inner = solve_triangular(lower, rest[1:] @ rest[0], lower=True)
         solved = inner - solve_triangular(lower, score_bias * unit / noise**2, lower=True)
-        return cls(noise, len(rows), len(flat), unit, lower, white, residual / noise, inner, solved)
+        return cls(noise, len(unit), count, unit, lower, rest, rest[:0], inner, solved)
 
     @classmethod
     def of_varying(
         cls, residual: Array, flat: Array, score_bias: Array, variation: FieldVariation | None
     ) -> Beside:
         """Marginalise columns without a prior (q, 3n), of score bias (q,), and a variation of the field."""
-        components, noise = (flat[:0], 1.0) if variation is None else (variation.components, variation.noise)
+        if variation is None:
+            return cls.of(residual, flat, flat[:0], np.zeros(0), score_bias)
+        components, noise = variation.components, variation.noise
         variance, none = np.full(len(components), noise**2), np.zeros(len(components))
-        return cls.of(residual, flat, components, variance, np.concatenate([score_bias, none]), noise)
+        bias = np.concatenate([score_bias, none])
+        return cls.of(residual, flat, components, variance, bias, noise, variation.gram)
 
     @classmethod
     def of_model(cls, twin: Twin, variation: FieldVariation | None = None) -> Beside:
@@ -94,17 +117,18 @@ class Beside:
         """Marginalise the columns (k, 3n) of effects, with variances (k,) and score bias (k,), too."""
         unit = np.sqrt(variance)
         rows = columns * (unit / self.noise)[:, None]
-        reach = rows @ self._white.T
+        known = np.concatenate([self._rest[1:] @ rows.T, self._effects @ rows.T])
+        reach = solve_triangular(self._lower, known, lower=True, check_finite=False).T
         lower = cholesky(rows @ rows.T + np.eye(len(rows)) - reach @ reach.T, lower=True, check_finite=False)
-        white = solve_triangular(lower, rows - reach @ self._white, lower=True, check_finite=False)
-        own = rows @ self._residual - score_bias * unit / self.noise**2
-        solved = solve_triangular(lower, own - reach @ self._solved, lower=True)
+        own, bias = rows @ self._rest[0], score_bias * unit / self.noise**2
+        inner = solve_triangular(lower, own - reach @ self._inner, lower=True)
+        solved = solve_triangular(lower, own - bias - reach @ self._solved, lower=True)
         return replace(
             self,
             _unit=np.concatenate([self._unit, unit]),
             _lower=np.block([[self._lower, np.zeros(reach.T.shape)], [reach, lower]]),
-            _white=np.concatenate([self._white, white]),
-            _inner=np.concatenate([self._inner, white @ self._residual]),
+            _effects=np.concatenate([self._effects, rows]),
+            _inner=np.concatenate([self._inner, inner]),
             _solved=np.concatenate([self._solved, solved]),
         )
 
@@ -115,7 +139,7 @@ class Beside:
             self,
             _unit=self._unit[:m],
             _lower=self._lower[:m, :m],
-            _white=self._white[:m],
+            _effects=self._effects[:0],
             _inner=self._inner[:m],
             _solved=self._solved[:m],
         )
@@ -123,7 +147,7 @@ class Beside:
     @property
     def square(self) -> float:
         """Return rᵀ M r."""
-        return float(self._residual @ self._residual - self._inner @ self._inner)
+        return float(self._rest[0] @ self._rest[0] - self._inner @ self._inner)
 
     @property
     def log_determinant(self) -> float:
@@ -137,23 +161,35 @@ class Beside:
 
     def left(self) -> Array:
         """Return the innovations (3n,) less the mean of what is marginalised, in units of the noise."""
-        result: Array = self._residual - self._solved @ self._white
+        result: Array = self._rest[0] - self._mean[: self.before] @ self._rest[1:] - self.signal
         return result
 
     def see(self, columns: Array, score_bias: Array) -> Seen:
         """Return what columns (N, 3n) with score bias (N,) have in common with the model."""
-        found = columns @ np.concatenate([self._white, self._pulls]).T  # the columns are read once
+        known = len(self._rest)
+        found = np.empty((len(columns), known + len(self._effects)))
+        np.matmul(columns, self._rest.T, out=found[:, :known])
+        np.matmul(columns, self._effects.T, out=found[:, known:])
         found /= self.noise
-        return Seen(found[:, :-2], found[:, -2] - score_bias / self.noise**2, found[:, -1])
+        on_signal = found[:, known:] @ self._mean[self.before :]
+        found = dtrsm(1.0, self._upper, found.T, trans_a=1, overwrite_b=1).T if len(columns) else found
+        reach = found[:, 1:]
+        return Seen(reach, found[:, 0] - reach @ self._solved - score_bias / self.noise**2, on_signal)
 
     @cached_property
-    def _pulls(self) -> Array:
-        """(2, 3n) what pulls at a column, and the effects' signal."""
-        return np.stack([self.left(), self.signal])
+    def _upper(self) -> Array:
+        """(1 + m, 1 + m) Lᵀ, after a 1 for the residual, in LAPACK's order."""
+        upper: Array = block_diag(1.0, self._lower).T
+        return upper
+
+    @cached_property
+    def _mean(self) -> Array:
+        """(m,) the mean of what is marginalised, with the opposite sign, in the units of the columns."""
+        result: Array = solve_triangular(self._lower, self._solved, lower=True, trans=1)
+        return result
 
     @cached_property
     def signal(self) -> Array:
         """(3n,) what the effects explain together, in units of the noise."""
-        value = solve_triangular(self._lower, self._solved, lower=True, trans=1)
-        result: Array = value[self.before :] @ self._lower[self.before :] @ self._white
+        result: Array = self._mean[self.before :] @ self._effects
         return result

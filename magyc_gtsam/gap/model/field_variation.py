@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
@@ -56,6 +57,7 @@ class FieldVariation:
         noise: ρ, relative to the noise of the sensors.
         period: correlation time along the way, s.
         components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ; last those of the colour.
+        gram: (k, k) products of these.
         colour_columns: number of the latter.
     """
 
@@ -67,6 +69,7 @@ class FieldVariation:
     noise: float
     period: float
     components: Array
+    gram: Array
     colour_columns: int
 
     @property
@@ -83,7 +86,7 @@ class FieldVariation:
     @cached_property
     def _whitener(self) -> tuple[Array, Array]:
         """Orthonormal rows (r, 3n) that span the components, and the share (r,) of each that whitening removes."""
-        value, vector = np.linalg.eigh(self.components @ self.components.T)
+        value, vector = np.linalg.eigh(self.gram)
         kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
         columns = (vector[:, kept] / np.sqrt(value[kept])).T @ self.components
         return columns, 1 - 1 / np.sqrt(1 + value[kept])
@@ -100,7 +103,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     """
     put, shares = (_in_world, _SHARES) if in_world else (_in_sensor, (*_SHARES, *_OF_ATTITUDE))
     project = Projector(twin.base_columns)
-    v = project(twin.residual().reshape(1, -1))[0]
+    residual = twin.residual().reshape(1, -1)
     cosines, courses = waves(twin.time)
     parts = [put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))]
     if coloured:
@@ -111,7 +114,8 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     shapes = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, courses)]
     fast = courses[np.isin(CORRELATION, _FAST)]
     colours = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, fast)]
-    search = _Search(v, project(raw), 3 * twin.n - len(twin.base_columns))
+    gram = raw @ raw.T
+    search = _Search.of(project, residual, raw, gram, 3 * twin.n - len(twin.base_columns))
 
     def deviations(shape: int, share: int, colour: int) -> Array:
         along = _deviation(shapes[shape])
@@ -134,7 +138,8 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     log, noise = search.log(chosen)
     constant, _ = search.log(np.zeros(len(raw)), fixed=True)
     period = CORRELATION[(shape - 1) % len(CORRELATION)] if shape else 0.0
-    scaled = raw[chosen > 0] * chosen[chosen > 0, None]
+    use = chosen > 0
+    scaled = raw[use] * chosen[use, None]
     along = _deviation(shapes[shape]) * noise
     return FieldVariation(
         log - constant,
@@ -145,6 +150,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         noise,
         period,
         scaled,
+        gram[np.ix_(use, use)] * (chosen[use, None] * chosen[use]),
         int((colours[colour] > 0).sum()),
     )
 
@@ -187,26 +193,38 @@ def _climbed(
     return max(found, key=log_of)
 
 
-class _Search:
+class _Search(NamedTuple):
     """The evidence ln Z of innovations (3n,) as a function of the amplitudes of columns (k, 3n), both after projection
-    on the complement of the model's columns."""
+    on the complement of the model's columns.
 
-    def __init__(self, innovation: Array, columns: Array, freedom: int) -> None:
-        self._gram, self._score = columns @ columns.T, columns @ innovation
-        self._square, self._freedom = float(innovation @ innovation), freedom
+    Attributes:
+        gram, score, square: products of the columns, of these with the innovations, and of the innovations.
+        freedom: number of values that the model leaves.
+    """
+
+    gram: Array
+    score: Array
+    square: float
+    freedom: int
+
+    @classmethod
+    def of(cls, project: Projector, innovation: Array, columns: Array, gram: Array, freedom: int) -> _Search:
+        """Project innovations (1, 3n) and columns (k, 3n) with products `gram` (k, k)."""
+        left, within = project(innovation)[0], project.within(columns)
+        return cls(gram - within @ within.T, columns @ left, float(left @ left), freedom)
 
     def log(self, deviations: Array, fixed: bool = False) -> tuple[float, float]:
         """Return ln Z and ρ; ρ is at least 1, and 1 if `fixed`."""
         use = deviations > 0
-        d, score, gram = deviations[use], self._score[use], self._gram
+        d, score, gram = deviations[use], self.score[use], self.gram
         inner = (gram if use.all() else gram[np.ix_(use, use)]) * (d[:, None] * d)
         inner.flat[:: len(d) + 1] += 1.0
         # Of the transpose, which is the same matrix in LAPACK's order.
         upper = dpotrf(inner.T, lower=0, overwrite_a=1, clean=0)[0] if len(d) else inner
         y = dtrtrs(upper, d * score, lower=0, trans=1)[0] if len(d) else np.zeros(0)
-        rest = max(self._square - float(y @ y), 1e-9)
-        variance = 1.0 if fixed else max(rest / self._freedom, 1.0)
-        logs = 2 * float(np.log(upper.diagonal()).sum()) + self._freedom * float(np.log(variance))
+        rest = max(self.square - float(y @ y), 1e-9)
+        variance = 1.0 if fixed else max(rest / self.freedom, 1.0)
+        logs = 2 * float(np.log(upper.diagonal()).sum()) + self.freedom * float(np.log(variance))
         return -0.5 * (rest / variance + logs), float(np.sqrt(variance))
 
 

@@ -17,5 +17,10 @@ class Projector:
         self._q = q[:, np.abs(np.diag(r)) > 1e-9]
 
     def __call__(self, rows: Array) -> Array:
-        result: Array = rows - (rows @ self._q) @ self._q.T
+        result: Array = rows - self.within(rows) @ self._q.T
+        return result
+
+    def within(self, rows: Array) -> Array:
+        """Return what rows (k, 3n) have in the span of the columns: coordinates (k, r) in an orthonormal basis."""
+        result: Array = rows @ self._q
         return result
