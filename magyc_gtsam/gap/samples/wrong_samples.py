@@ -135,8 +135,11 @@ class _Mixture:
         likelihood, belongs = self.likelihood, self.belongs
         for _ in range(60):
             density = np.log(share / variance**1.5)[:, None] - 0.5 * square / variance[:, None]
-            total = np.logaddexp.reduce(density, axis=0)
-            likelihood, belongs = float(total.sum()), np.exp(density - total)
+            largest = density.max(axis=0)
+            belongs = np.exp(density - largest)
+            total = belongs.sum(axis=0)
+            belongs /= total
+            likelihood = float((np.log(total) + largest).sum())
             share = np.clip(belongs.mean(axis=1), 1e-6, 1.0)
             variance = (belongs @ square) / (3 * np.maximum(belongs.sum(axis=1), 1e-9))
             variance[-1] = max(variance[-1], 1.5 * variance[-2])
