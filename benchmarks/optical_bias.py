@@ -1,8 +1,9 @@
-"""The gyroscope's bias by an optical attitude, as a truth for calibrations of real recordings."""
+"""The gyroscope's errors by an optical attitude, as a truth for calibrations of real recordings."""
 
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -11,10 +12,26 @@ import magyc_gtsam as mg
 from magyc_gtsam.recording import Array
 
 
-def bias_by_optics(
-    recording: mg.Recording, attitude_time: Array, attitude: Rotation
-) -> tuple[Array, Array, float]:
-    """(3,) rad/s, covariance, and the gyroscope's own lag behind the cameras, s.
+class GyroscopeByOptics(NamedTuple):
+    """What a gyroscope adds to the rate.
+
+    Attributes:
+        bias: (3,) rad/s.
+        bias_covariance: (3, 3).
+        matrix: (3, 3) of the rate: scales on its diagonal, and a rotation against the markers.
+        matrix_covariance: (9, 9), row by row.
+        lag: of the gyroscope behind the cameras, s.
+    """
+
+    bias: Array
+    bias_covariance: Array
+    matrix: Array
+    matrix_covariance: Array
+    lag: float
+
+
+def gyroscope_by_optics(recording: mg.Recording, attitude_time: Array, attitude: Rotation) -> GyroscopeByOptics:
+    """Errors of the gyroscope, by least squares.
 
     −Log(ΔR_gyroᵀ ΔR_optical) = (b + E ω) Δt − τ Δω over half a second, E and τ free (3, 3). The covariance is a
     sandwich over blocks of 5 s.
@@ -47,8 +64,15 @@ def bias_by_optics(
     score = np.einsum("n,na,ni->nai", weight, design, residual)
     summed = np.zeros((block.max() + 1, 7, 3))
     np.add.at(summed, block, score)
-    influence = np.einsum("ab,kbi->kai", inverse, summed)[:, 0]
-    return solution[0], influence.T @ influence, float(np.trace(solution[4:]) / 3)
+    influence = np.einsum("ab,kbi->kia", inverse, summed)  # of each block on the solution, axis by axis
+    of_bias, of_matrix = influence[:, :, 0], influence[:, :, 1:4].reshape(len(influence), 9)
+    return GyroscopeByOptics(
+        solution[0],
+        of_bias.T @ of_bias,
+        solution[1:4].T,
+        of_matrix.T @ of_matrix,
+        float(np.trace(solution[4:]) / 3),
+    )
 
 
 def product(steps: Rotation) -> Rotation:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from optical_bias import bias_by_optics
+from optical_bias import gyroscope_by_optics
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
@@ -79,7 +79,7 @@ def read_all(folder: Path, more: list[Path]) -> Iterator[Log]:
             if same:
                 hard = np.mean([t["h"] for t in same], axis=0)
                 covariance = np.mean([t["cov"] for t in same], axis=0) / len(same) + scatter / len(same)
-        bias, bias_covariance, lag = bias_by_optics(recording, attitude_time, attitude)
+        gyroscope = gyroscope_by_optics(recording, attitude_time, attitude)
         yield Log(
             name,
             unit,
@@ -90,9 +90,9 @@ def read_all(folder: Path, more: list[Path]) -> Iterator[Log]:
             hard * 1e-6,
             (covariance + scatter) * 1e-12,
             float(truth["delay"]),
-            float(truth["delay"]) - lag,
-            bias,
-            bias_covariance,
+            float(truth["delay"]) - gyroscope.lag,
+            gyroscope.bias,
+            gyroscope.bias_covariance,
             moving,
         )
 
