@@ -2,6 +2,7 @@
 
     python benchmarks/names_by_optics.py LOG_OR_FOLDER...
 
+Logs are MCAP with an optical attitude, or arrays (*.npz) as for `real_honesty.py`; BROAD is used while it moves.
 The optical attitude does not pass through the gyroscope: what it shows of the magnetometer's delay, of eddy currents
 and of the gyroscope's scale is independent of what was named. Prints, of each recording and name, the values of
 `find_gap` and those by optics, in the same unit, and the mean square of their difference in joint standard deviations,
@@ -11,10 +12,12 @@ one if both are right.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from optical_bias import gyroscope_by_optics
+from real_logs import read_mcap, read_npz
 from scipy.spatial.transform import Rotation, Slerp
 
 import magyc_gtsam as mg
@@ -25,7 +28,7 @@ from magyc_gtsam.study.leaderboard.optics import reference_of
 BLOCK = 5.0  # s, within which residuals count as one draw
 STEP = 0.01  # s, on each side, over which the field's rate is differenced
 KNOTS = 4.0  # s between knots of the room's field
-MOVING = {"broad_01": (34, 160), "broad_06": (38, 160)}  # s; a log of another name is used whole
+HOLE = 0.1  # s, longest gap of the optical attitude that is interpolated
 
 
 def main() -> None:
@@ -33,19 +36,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", type=Path, nargs="+")
     for path in parser.parse_args().logs:
-        for log in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
-            recording = mg.read(log).between(*MOVING.get(log.name[:8], (None, None)))
-            if recording.attitude is not None:
-                judge(log.stem, recording)
+        logs = (
+            [each for kind in ("*.mcap", "*.npz") for each in sorted(path.glob(kind))] if path.is_dir() else [path]
+        )
+        for log in logs:
+            recording, time, attitude, _, moving = read_npz(log) if log.suffix == ".npz" else read_mcap(log)
+            judge(log.stem, recording.between(*moving) if moving else recording, time, attitude)
 
 
-def judge(name: str, recording: mg.Recording) -> None:
+def judge(name: str, recording: mg.Recording, time: Array, attitude: Rotation) -> None:
     """Print what was found of one recording beside what optics show."""
     print(name, flush=True)
-    known = np.isfinite(recording.attitude).all(axis=1)
-    turned = Rotation.from_quat(recording.attitude[known])
-    gyroscope = gyroscope_by_optics(recording, recording.time[known], turned)
-    lag, of_lag = lag_by_optics(recording, Slerp(recording.time[known], turned))
+    gyroscope = gyroscope_by_optics(recording, time, attitude)
+    turned = Slerp(time, attitude)
+    after = np.clip(np.searchsorted(time, recording.time), 1, len(time) - 1)
+    inside = (recording.time > time[0]) & (recording.time < time[-1]) & (time[after] - time[after - 1] < HOLE)
+    quaternion = np.full((len(recording.time), 4), np.nan)
+    quaternion[inside] = turned(recording.time[inside]).as_quat()
+    lag, of_lag = lag_by_optics(replace(recording, attitude=quaternion), turned)
     for effect in mg.find_gap(recording).effects:
         if effect.name == "timing":
             mean = np.eye(3).ravel() / 3
