@@ -11,7 +11,6 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
-from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import Array
@@ -22,6 +21,7 @@ from magyc_gtsam.factors.effects.turning import Turning
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model.colour import ColouredNoise
 from magyc_gtsam.gap.model.rests import rate_at_rest
+from magyc_gtsam.gap.model.track import Track
 from magyc_gtsam.recording import Recording
 
 _STILL = 1e-9  # standard deviation of a constant channel relative to its largest value, from rounding
@@ -29,7 +29,6 @@ _PASSES = 20  # fixed-point iterations for gyroscope terms that read the true ra
 _CLOSE = 1e-7  # rad/s, change at which the iteration has converged
 _RUNAWAY = 10.0  # times the first change, beyond which the iteration diverges
 _INSTANTS = 3  # of a window; of a hysteresis in BROAD 01 and 32 five leave 1 and 3 % less
-_TRACK = 100_000  # times of the integrated rate, of longer logs at most twice as many
 _KEPT = 4  # cached integrations of one problem, for a search that alternates between models
 # rad by which a change of bias and delay may turn the field within a window, up to which the first-order derivatives
 # of an integration replace a new one: the error is half its square, where the noise of a window is milliradians
@@ -128,6 +127,7 @@ class Problem:
     rate_noise: float
     colour: ColouredNoise | None = None
     _kept: list[tuple[Hashable, Integrated]] = field(default_factory=list, init=False, repr=False)
+    _tracks: dict[bytes, Track] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, recording: Recording, samples: Preintegration) -> Problem:
@@ -185,12 +185,13 @@ class Problem:
         """The gyroscope's mean (3,), rad/s, over the rests; None without one."""
         return rate_at_rest(self.recording)
 
-    @cached_property
-    def angle(self) -> tuple[Array, Array]:
-        """Times (m,) of some samples, s, and the integral (m, 3) of the gyroscope's rate until then, rad."""
-        time, rate = self.samples.gyroscope_time, self.samples.angular_rate
-        some = slice(None, None, max(len(time) // _TRACK, 1))
-        return time[some], summed_rate(time, rate)[some]
+    def track(self, bias: Array) -> Track:
+        """Return the turns by the rate beyond that at rest; without a rest, beyond a bias (3,) rad/s, the last kept."""
+        bias = bias if self.rate_at_rest is None else self.rate_at_rest
+        if bias.tobytes() not in self._tracks:
+            self._tracks.clear()
+            self._tracks[bias.tobytes()] = Track.of(self.samples.gyroscope_time, self.samples.angular_rate - bias)
+        return self._tracks[bias.tobytes()]
 
     @cached_property
     def fastest(self) -> float:
