@@ -29,7 +29,7 @@ from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.model.columns import Columns
 from magyc_gtsam.gap.model.model_chain import build, to_sensor_of, window_signals
-from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by
+from magyc_gtsam.gap.model.problem import Integrated, Model, Problem, added_by
 
 _DIFFERENCE = 1e-3  # rad/s
 _BIAS_STEP, _NEARBY = 1e-6, 1e-6  # steps of numerical derivatives: rad/s of the bias, relative of the soft iron
@@ -107,8 +107,9 @@ class Twin:
         result = replace(self, model=model)
         result.__dict__["_filter"] = self._filter
         if np.array_equal(model.free, own.free):
-            added = [self.whiten(self.columns(t.name, t.setting)) for t in more if t.name != "timing"]
-            result.__dict__["base_columns"] = np.concatenate([self.base_columns, *added])
+            added = [self.columns(t.name, t.setting) for t in more if t.name != "timing"]
+            result.__dict__["_of_terms"] = [*self._of_terms, *added]
+            result.__dict__["base_columns"] = np.concatenate([self.base_columns, *map(self.whiten, added)])
         return result
 
     def residual(self) -> Array:
@@ -158,8 +159,11 @@ class Twin:
     @cached_property
     def base_columns(self) -> Array:
         """Return the whitened regressors (q, 3n) of the free parameters, then of the model's terms."""
-        terms = [self.whiten(self.columns(t.name, t.setting, t.value)) for t in self.model.estimated]
-        return np.concatenate([self.parameter_columns, *terms])
+        return np.concatenate([self.parameter_columns, *(self.whiten(own) for own in self._of_terms)])
+
+    @cached_property
+    def _of_terms(self) -> list[Columns]:
+        return [self.columns(t.name, t.setting, t.value) for t in self.model.estimated]
 
     @cached_property
     def parameter_columns(self) -> Array:
@@ -196,14 +200,8 @@ class Twin:
     @cached_property
     def base_score_bias(self) -> Array:
         """Return the score bias (q,) of `base_columns`."""
-        parts = [np.zeros(int(self.model.free.sum()))]
-        parts += [
-            self._score_bias(t) if _contains_rate(t.name) else np.zeros(len(t.value)) for t in self.model.estimated
-        ]
-        return np.concatenate(parts)
-
-    def _score_bias(self, term: Active) -> Array:
-        return self.rate_score_bias(lambda signals: FORMS[term.name].columns(signals, term.setting))
+        terms = [np.zeros(len(own.window)) if own.score_bias is None else own.score_bias for own in self._of_terms]
+        return np.concatenate([np.zeros(int(self.model.free.sum())), *terms])
 
     def columns(self, name: str, setting: Setting, value: Array | None = None) -> Columns:
         """Return the regressors of a form, per unit of value; of one that is not linear, at a value (None: at 0)."""
