@@ -6,6 +6,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -64,7 +65,7 @@ class Signals:
         array: Array = value
         return array
 
-    @property
+    @cached_property
     def world_axes(self) -> Array:
         """Return what a field of one unit along each axis of the world adds to the reading: (axis, component, n).
 
