@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
+
+_KEPT = 3  # delays, one of each axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,14 +27,19 @@ class Turning:
     rate: Array
     rows: Array
     mean: Callable[[Array], Array] = lambda values: values
+    _known: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
     def within(self, delay: float) -> tuple[Array, Array]:
         """Return the integral (3, n) of the rate over the last `delay` s, rad, and the rate (3, n), rad/s, before it.
 
-        Before the first sample the rate is that of the first.
+        Before the first sample the rate is that of the first. A model asks for the same delays several times.
         """
-        then, rate = self._until(self.rows - delay)
-        return self.mean(self._now - then), self.mean(rate)
+        if delay not in self._known:
+            then, rate = self._until(self.rows - delay)
+            self._known[delay] = self.mean(self._now - then), self.mean(rate)
+            for oldest in list(self._known)[:-_KEPT]:
+                del self._known[oldest]
+        return self._known[delay]
 
     @cached_property
     def _now(self) -> Array:
