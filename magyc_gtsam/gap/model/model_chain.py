@@ -18,11 +18,13 @@ from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.turning import world_of
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.factors.effects.forms import FORMS
+from magyc_gtsam.factors.effects.signals import CHANNELS, Signals
 from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, added_by, integrated
 
 _ROUNDS = 5  # of the directions and the terms of the magnetometer, which depend on each other
 _AGREED = 1e-3  # rad, change of the directions below which a round is the last
+_LOGGED = {"time", *CHANNELS}  # signals that do not depend on the model
 _NEARBY = 1e-8  # T, step of a numerical derivative
 
 
@@ -71,9 +73,9 @@ def build(
 ) -> tuple[FieldChain, ChainState, Reduced, Integrated]:
     """Build the chain of a model and optimise its directions, from those of a model near it if there is one.
 
-    The terms of the magnetometer depend on the field of the model. Therefore the directions are optimised, the terms
-    subtracted, and the directions optimised again; several times for non-linear terms, at which the reading is then
-    linearised.
+    Terms of the magnetometer that depend on the field of the model are subtracted with the directions so far, the
+    directions optimised, and both again; several times for non-linear terms, at which the reading is then linearised.
+    Those of the time or of channels alone are the same for all directions.
 
     Returns:
         The chain, its state, its linearisation, and the integrated gyroscope.
@@ -82,14 +84,18 @@ def build(
     windows = gyroscope.windows
     plain = FieldChain(windows, model.noise)
     terms = model.on("magnetometer")
+    fixed, moving = (
+        [t for t in terms if (set(FORMS[t.name].needs) <= _LOGGED) == logged] for logged in (True, False)
+    )
+    field = windows.field - added_by(fixed, problem.over_windows) if fixed else windows.field
     # Directions are in the world of their integration.
     same = near is not None and near[1] is gyroscope
     state = ChainState(model.parameters, near[0].direction) if near and same else plain.start(model.parameters)
-    chain_, bent = plain, model.bends
+    chain_, bent = FieldChain(replace(windows, field=field), model.noise) if fixed else plain, model.bends
     for _ in range(_ROUNDS):
-        if terms:
+        if moving:
             signals = window_signals(problem, gyroscope, state)
-            corrected = replace(windows, field=windows.field - added_by(terms, signals))
+            corrected = replace(windows, field=field - added_by(moving, signals))
             chain_ = FieldChain(corrected, model.noise, bend=_bend(bent, signals) if bent else None)
         before = state.direction
         state = chain_.settled(state, chain_.unweighted())
