@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -94,19 +94,21 @@ class Explained:
         information, of_term = self.information[np.ix_(some, some)], self.of_term[some]
         inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
         value = inverse @ self.score[some]
+        own = {i: of_term == i for i in among}
+        alone = {i: np.linalg.pinv(information[np.ix_(own[i], own[i])], hermitian=True) for i in among}
         result = {}
-        for i, j in product(among, repeat=2):
-            own, other = of_term == i, of_term == j
-            both = own | other
-            result[i, j] = value[both] @ np.linalg.pinv(inverse[np.ix_(both, both)], hermitian=True) @ value[both]
-            if i != j:
-                mine, across = information[np.ix_(own, own)], information[np.ix_(own, other)]
-                absorbed = across @ np.linalg.pinv(information[np.ix_(other, other)], hermitian=True) @ across.T
-                share = np.trace(absorbed) / max(np.trace(mine), 1e-300)
-                to_it = across @ value[other]
-                contained = to_it @ np.linalg.pinv(mine, hermitian=True) @ to_it
-                result[i, j] = max(result[i, j] * share, contained)
-        return {pair: float(power) for pair, power in result.items()}
+        for i, j in combinations_with_replacement(among, 2):
+            both = own[i] | own[j]
+            power = value[both] @ np.linalg.pinv(inverse[np.ix_(both, both)], hermitian=True) @ value[both]
+            for mine, other in {(i, j), (j, i)}:
+                result[mine, other] = float(power)
+                if i != j:
+                    across = information[np.ix_(own[mine], own[other])]
+                    share = np.trace(across @ alone[other] @ across.T)
+                    share /= max(np.trace(information[np.ix_(own[mine], own[mine])]), 1e-300)
+                    to_it = across @ value[own[other]]
+                    result[mine, other] = float(max(power * share, to_it @ alone[mine] @ to_it))
+        return result
 
 
 def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Explained, float]:
