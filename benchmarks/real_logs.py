@@ -157,5 +157,6 @@ def read_npz(path: Path) -> tuple[mg.Recording, Array, Rotation, Array | None, t
 def read_mcap(path: Path) -> tuple[mg.Recording, Array, Rotation, Array | None, tuple[float, float] | None]:
     recording = mg.read(path)
     known = np.isfinite(recording.attitude[:, 0])
-    moving = MOVING.get(int(path.name[6:8]))
+    trial = re.match(r"broad_(\d+)", path.name)
+    moving = MOVING.get(int(trial.group(1))) if trial else None
     return recording, recording.time[known], Rotation.from_quat(recording.attitude[known]), None, moving

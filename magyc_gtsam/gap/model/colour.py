@@ -1,7 +1,8 @@
 """Coloured noise as autoregressions of the innovations, which whiten them and every regressor alike.
 
 The innovations along the field have all of the colour of the reading. Those across it have the fast part only: a slow
-one turns the direction that the filter has found, so that it is predicted. Each has its own autoregression.
+one turns the direction that the filter has found, so that it is predicted. Each has its own autoregression, unless one
+for both is more probable, which has half as many parameters: that of fast noise, which turns nothing.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class ColouredNoise:
 
     Attributes:
         direction: (3, n) of the windows, unit vectors along which an innovation is of the field's strength alone.
-        along, across: the autoregressions of the innovations along it and across it.
+        along, across: the autoregressions of the innovations along it and across it, or one for both.
     """
 
     direction: Array
@@ -90,15 +91,21 @@ class ColouredNoise:
         # The direction turns between windows, so that a part of what is left across it is along it.
         _, left = _parts(result.whiten(innovation), direction)
         level = result.across.level * float(np.sqrt((left**2).sum() / (2 * left.shape[1])))
-        return replace(result, across=replace(result.across, level=level))
+        common = Autoregression.of(innovation, 3)
+        either = replace(result, across=replace(result.across, level=level)), cls(direction, common, common)
+        return max(either, key=lambda noise: noise.nats(innovation))
 
     def nats(self, innovation: Array) -> float:
         """Return the log-likelihood of innovations (3, n) beyond that of white noise, less the penalty of BIC."""
         n, square = innovation.shape[1], float((innovation**2).sum() - (self.whiten(innovation) ** 2).sum())
+        if self.along is self.across:
+            return 0.5 * square - self.along.price(n, 3)
         return 0.5 * square - self.along.price(n, 1) - self.across.price(n, 2)
 
     def whiten(self, rows: Array) -> Array:
         """Return rows (…, 3, n) of innovations or of regressors, whitened."""
+        if self.along is self.across:
+            return self.along.whiten(rows)
         along, across = _parts(rows, self.direction)
         _, across = _parts(self.across.whiten(across), self.direction)
         result: Array = self.along.whiten(along)[..., None, :] * self.direction + across
