@@ -17,15 +17,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import per_axis
+from magyc_gtsam.gap.model.amplitudes import EvidenceOfAmplitudes
 from magyc_gtsam.gap.model.columns import Columns
-from magyc_gtsam.gap.model.projector import Projector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -102,50 +100,63 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         coloured: whether the magnetometer may have coloured noise, too: the fast functions of time in its own axes.
     """
     put, shares = (_in_world, _SHARES) if in_world else (_in_sensor, (*_SHARES, *_OF_ATTITUDE))
-    project = Projector(twin.base_columns)
-    residual = twin.residual().reshape(1, -1)
     cosines, courses = waves(twin.time)
     parts = [put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))]
     if coloured:
         parts.append(_in_sensor(twin, cosines))
     raw = np.concatenate(parts)
-    turned = len(parts[1])
-    still = np.zeros(3 * len(cosines))
-    shapes = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, courses)]
+    attitude, last = (
+        slice(len(parts[0]), len(parts[0]) + len(parts[1])),
+        slice(len(parts[0]) + len(parts[1]), None),
+    )
     fast = courses[np.isin(CORRELATION, _FAST)]
-    colours = [still] + [size * np.repeat(course, 3) for size, course in product(_AMPLITUDES, fast)]
+    (sizes, shapes), (tones, colours) = _grid(courses), _grid(fast)
     gram = raw @ raw.T
-    search = _Search.of(project, residual, raw, gram, 3 * twin.n - len(twin.base_columns))
+    evidence = EvidenceOfAmplitudes.of(twin.base_columns, twin.residual().reshape(1, -1), raw, gram)
 
-    def deviations(shape: int, share: int, colour: int) -> Array:
-        along = _deviation(shapes[shape])
-        own = [shapes[shape], np.full(turned, shares[share] * along)]
-        return np.concatenate([*own, colours[colour]] if coloured else own)
+    def of_place(shape: int, share: int) -> Array:
+        return np.concatenate([shapes[shape], np.full(len(parts[1]), shares[share] * sizes[shape])])
+
+    # The columns whose amplitudes stay the same during several steps of the search are marginalised once.
+    @cache
+    def beside_colour(colour: int) -> EvidenceOfAmplitudes:
+        return evidence.given(last, colours[colour]) if coloured else evidence
+
+    @cache
+    def beside_attitude(deviation: float, colour: int) -> EvidenceOfAmplitudes:
+        return beside_colour(colour).given(attitude, np.full(len(parts[1]), deviation))
+
+    @cache
+    def beside_place(place: tuple[int, int]) -> EvidenceOfAmplitudes:
+        return evidence.given(slice(attitude.stop), of_place(*place))
 
     @cache  # many of the same points are evaluated
-    def known(point: tuple[int, int, int]) -> float:
-        return search.log(deviations(*point))[0]
+    def log_of_place(colour: int, place: tuple[int, int]) -> float:
+        shape, share = place
+        return beside_attitude(shares[share] * sizes[shape], colour).log(shapes[shape])[0]
 
-    def log_of(place: tuple[int, int], tint: tuple[int, int]) -> float:
-        return known((*place, tint[0]))
+    @cache
+    def log_of_colour(place: tuple[int, int], tint: tuple[int, int]) -> float:
+        return beside_place(place).log(colours[tint[0]])[0]
 
     place, tint = (len(shapes) // 3, 1), (len(colours) // 2 if coloured else 0, 0)
     for _ in range(_SWEEPS if coloured else 1):
-        place = _climbed(partial(log_of, tint=tint), place, len(courses), len(shares))
-        tint = _climbed(partial(log_of, place), tint, len(fast), 1) if coloured else tint
+        place = _climbed(partial(log_of_place, tint[0]), place, len(courses), len(shares))
+        tint = _climbed(partial(log_of_colour, place), tint, len(fast), 1) if coloured else tint
     (shape, share), colour = place, tint[0]
-    chosen = deviations(shape, share, colour)
-    log, noise = search.log(chosen)
-    constant, _ = search.log(np.zeros(len(raw)), fixed=True)
+    chosen = np.concatenate([of_place(shape, share), colours[colour]] if coloured else [of_place(shape, share)])
+    log, noise = evidence.log(chosen)
+    constant, _ = evidence.log(np.zeros(len(raw)), fixed=True)
     period = CORRELATION[(shape - 1) % len(CORRELATION)] if shape else 0.0
     use = chosen > 0
-    scaled = raw[use] * chosen[use, None]
-    along = _deviation(shapes[shape]) * noise
+    scaled = raw[use]
+    scaled *= chosen[use, None]
+    along = sizes[shape] * noise
     return FieldVariation(
         log - constant,
         along,
         shares[share] * along,
-        _deviation(colours[colour]) * noise,
+        tones[colour] * noise,
         _FAST[(colour - 1) % len(_FAST)] if colour else 0.0,
         noise,
         period,
@@ -155,9 +166,11 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
     )
 
 
-def _deviation(shape: Array) -> float:
-    """Return the standard deviation, T, of a function of time whose modes have some on each of three axes."""
-    return float(np.sqrt((shape**2).sum() / 3))
+def _grid(courses: Array) -> tuple[list[float], list[Array]]:
+    """Return the standard deviations of functions of time, T, and those of the amplitudes (3k,) of their modes on each
+    axis: first nothing, then each size with each of the courses (c, k)."""
+    grid = [(float(size), np.repeat(size * course, 3)) for size, course in product(_AMPLITUDES, courses)]
+    return [0.0, *(size for size, _ in grid)], [np.zeros(3 * courses.shape[1]), *(shape for _, shape in grid)]
 
 
 def waves(time: Array) -> tuple[Array, Array]:
@@ -191,41 +204,6 @@ def _climbed(
             better = next((each for each in inside if log_of(each) > log_of(here)), None)
         found.append(here)
     return max(found, key=log_of)
-
-
-class _Search(NamedTuple):
-    """The evidence ln Z of innovations (3n,) as a function of the amplitudes of columns (k, 3n), both after projection
-    on the complement of the model's columns.
-
-    Attributes:
-        gram, score, square: products of the columns, of these with the innovations, and of the innovations.
-        freedom: number of values that the model leaves.
-    """
-
-    gram: Array
-    score: Array
-    square: float
-    freedom: int
-
-    @classmethod
-    def of(cls, project: Projector, innovation: Array, columns: Array, gram: Array, freedom: int) -> _Search:
-        """Project innovations (1, 3n) and columns (k, 3n) with products `gram` (k, k)."""
-        left, within = project(innovation)[0], project.within(columns)
-        return cls(gram - within @ within.T, columns @ left, float(left @ left), freedom)
-
-    def log(self, deviations: Array, fixed: bool = False) -> tuple[float, float]:
-        """Return ln Z and ρ; ρ is at least 1, and 1 if `fixed`."""
-        use = deviations > 0
-        d, score, gram = deviations[use], self.score[use], self.gram
-        inner = (gram if use.all() else gram[np.ix_(use, use)]) * (d[:, None] * d)
-        inner.flat[:: len(d) + 1] += 1.0
-        # Of the transpose, which is the same matrix in LAPACK's order.
-        upper = dpotrf(inner.T, lower=0, overwrite_a=1, clean=0)[0] if len(d) else inner
-        y = dtrtrs(upper, d * score, lower=0, trans=1)[0] if len(d) else np.zeros(0)
-        rest = max(self.square - float(y @ y), 1e-9)
-        variance = 1.0 if fixed else max(rest / self.freedom, 1.0)
-        logs = 2 * float(np.log(upper.diagonal()).sum()) + self.freedom * float(np.log(variance))
-        return -0.5 * (rest / variance + logs), float(np.sqrt(variance))
 
 
 def _in_world(twin: Twin, profiles: Array) -> Array:
