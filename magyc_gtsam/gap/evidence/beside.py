@@ -193,3 +193,9 @@ class Beside:
         """(3n,) what the effects explain together, in units of the noise."""
         result: Array = self._mean[self.before :] @ self._effects
         return result
+
+    @property
+    def reach_of_signal(self) -> Array:
+        """Return the reach (before,) of that into what is marginalised before the effects."""
+        result: Array = self._mean[self.before :] @ self._lower[self.before :, : self.before]
+        return result

@@ -148,8 +148,7 @@ class _Shared(NamedTuple):
     @classmethod
     def of(cls, beside: Beside, seen: Seen) -> _Shared:
         reach = seen.reach[:, : beside.before]
-        own = beside.see(beside.signal[None] * beside.noise, np.zeros(1)).reach[0, : beside.before]
-        return cls(reach, seen.on_signal - reach @ own)
+        return cls(reach, seen.on_signal - reach @ beside.reach_of_signal)
 
     def contained(self, batch: Batch, noise: float) -> Array:
         """Return the power (B,) of the part of the signal that each candidate could explain."""
