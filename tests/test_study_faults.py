@@ -130,6 +130,10 @@ def test_the_heading_is_that_of_the_gyroscopes_axes(places: int) -> None:
     assert score(replace(named, hard_iron=off), body_R_sensor=body_R_sensor).heading_sigmas == pytest.approx(
         score(replace(plain, hard_iron=HARD_IRON + [0.0, 2e-7, 0.0])).heading_sigmas, rel=0.1
     )
+    # Its hard iron and that sigma are in the magnetometer's axes all the same.
+    unequal = np.diag(np.r_[np.diag(named.covariance)[:6], [1e-14, 4e-14, 9e-14], np.diag(named.covariance)[9:]])
+    along_z = replace(named, hard_iron=HARD_IRON + [0.0, 0.0, 6e-7], covariance=unequal)
+    assert score(along_z, body_R_sensor=body_R_sensor).hard_iron_sigmas == pytest.approx(2.0)
 
 
 def test_the_stated_heading_is_that_of_a_draw() -> None:

@@ -18,6 +18,8 @@ HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
 # Terms that depend on a change: the true readings at rest contain no loop and no tone to correct.
 _DYNAMIC = ("timing", "hysteresis", "tone")
+# Terms that turn the calibrated field to the gyroscope's axes; the hard iron and its sigma are in the magnetometer's.
+_TURNING = ("misalignment", "axis-order")
 _APART = 1e-3  # s between readings at rest, during which nothing changes
 _RELATIVE_STEP = 1e-9  # step relative to a term's value for its numerical derivative where it has no sigma
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
@@ -101,7 +103,8 @@ def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
 
 def _remaining_hard_iron(calibration: Calibration, end: float) -> Array:
     """Return the error (3,) in T of the hard iron, including terms such as a step that add to it at the end."""
-    left: Array = calibration.soft_iron @ _standing(calibration, np.stack([HARD_IRON, HARD_IRON]), end)[-1]
+    own = replace(calibration, terms=tuple(term for term in calibration.terms if term.name not in _TURNING))
+    left: Array = calibration.soft_iron @ _standing(own, np.stack([HARD_IRON, HARD_IRON]), end)[-1]
     return left
 
 
