@@ -12,7 +12,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import cross, exponential_matrices
 from magyc_gtsam.factors.chain.small import inverse
-from magyc_gtsam.factors.chain.vech import UPPER
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS
 from magyc_gtsam.recording import Array, Recording
 
 _MOST_ROWS = 1000  # largest number of rows used for the vertical and the dip
@@ -106,20 +106,20 @@ class LevelTurn:
 
     def slopes(self, soft_iron: Array) -> Array:
         """Return the derivative (n, 9) of heading, rad, with respect to vech(soft_iron) and hard_iron."""
-        gain, (rows, columns) = self._gain(soft_iron), UPPER
-        mirrored = (rows != columns) * (gain[:, columns] * self.field[:, rows])
-        return np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
+        gain = self._gain(soft_iron)
+        of_matrix = (gain[:, :, None] * self.field[:, None, :]).reshape(-1, 9)
+        return np.hstack([of_matrix @ SYMMETRIC_UNITS.reshape(6, 9).T, gain])
 
     def spread(self, covariance: Array, slopes: Array, misalignment: MisalignmentError | None = None) -> Array:
         """Return the result of `systematic`, from given `slopes` of the soft iron."""
-        variance = np.einsum("na,na->n", slopes @ covariance[:9, :9], slopes)
+        whole = covariance[:9, :9]
         if misalignment is not None:
-            turned = self.turned
-            variance += np.einsum(
-                "na,na->n", turned @ misalignment.covariance - 2 * slopes @ misalignment.cross, turned
-            )
-            every = np.hstack([slopes, -turned])
-            variance += np.einsum("na,na->n", every @ misalignment.gyroscope, every)
+            slopes, whole = np.hstack([slopes, -self.turned]), misalignment.gyroscope.copy()
+            whole[:9, :9] += covariance[:9, :9]
+            whole[9:, 9:] += misalignment.covariance
+            whole[:9, 9:] += misalignment.cross
+            whole[9:, :9] += misalignment.cross.T
+        variance = np.einsum("na,na->n", slopes @ whole, slopes)
         return cast(Array, np.degrees(np.sqrt(np.maximum(variance, 0.0))))
 
     def per_sample(self, noise: float, soft_iron: Array) -> Array:
@@ -212,7 +212,7 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
         x, y, z, w = np.ascontiguousarray(attitude.T)
         across, along = x * x + y * y, z * z + w * w
         # The world's z axis in sensor axes: the last row of the rotation matrix.
-        up = (np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), along - across]) / (across + along)).T
+        up = (np.array([2 * (x * z - w * y), 2 * (y * z + w * x), along - across]) / (across + along)).T
         if acceleration is not None:
             upright = _dot(up, acceleration)
             if np.count_nonzero(upright < 0) > np.count_nonzero(upright > 0):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from magyc_gtsam.factors.chain.small import eigenvectors
 from magyc_gtsam.foreign_text import two_digits
 from magyc_gtsam.level_turn import LevelTurn, MisalignmentError, level_turn
 from magyc_gtsam.recording import Array, Mask, Recording
@@ -112,7 +113,7 @@ class Assessor:
         for what, block, scale, largest, unit in groups:
             if float(block.trace()) * scale**2 <= (0.5 * largest) ** 2:
                 continue  # the trace bounds the variance of every direction
-            variance, vectors = np.linalg.eigh(block)
+            variance, vectors = eigenvectors(block)
             for sigma, vector in zip(np.sqrt(np.maximum(variance, 0.0)) * scale, vectors.T, strict=True):
                 if sigma > 0.5 * largest:
                     axis = _stretched(vector) if len(vector) == 6 else vector

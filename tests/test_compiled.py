@@ -21,6 +21,7 @@ from magyc_gtsam.factors.chain.directions import LinearisedSensor
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
+from magyc_gtsam.factors.chain.preintegration import windows_passed
 from magyc_gtsam.factors.chain.rotations import Array, chained, increments
 from magyc_gtsam.factors.chain.spline import Spline
 from magyc_gtsam.factors.effects.forms import _COERCIVE, _stopped
@@ -73,8 +74,9 @@ def test_elimination(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
     close(*both(lambda: np.hstack([1e4 * r for r in fit.chain.residuals(fit.state)]), monkeypatch), 1e-10)
     fast, numpy = both(eliminated, monkeypatch)
     for name, one, other in zip(fast._fields, fast, numpy, strict=True):
-        if name == "factor":  # its last entries are no part of it
-            one, other = np.triu(one[:, ::-1])[:, ::-1], np.triu(other[:, ::-1])[:, ::-1]
+        if name == "band_factor":  # its last entries are no part of it
+            close(one.inverse, other.inverse)
+            one, other = (np.triu(each.columns.T[:, ::-1])[:, ::-1] for each in (one, other))
         close(one, other, 1e-9 if name in ("information", "gradient") else 1e-11)
 
 
@@ -101,7 +103,9 @@ def test_settled_directions(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
     close(*both(lambda: fit.chain.settled(fit.state, fit.weights).direction, monkeypatch))
 
 
-@pytest.mark.parametrize("sides", ["windows", "one axis of the windows", "links", "windows and links"])
+@pytest.mark.parametrize(
+    "sides", ["windows", "one axis of the windows", "each axis", "links", "windows and links"]
+)
 @pytest.mark.parametrize("with_terms", [False, True])
 def test_scores(fit: Fit, sides: str, with_terms: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Groups of columns of 1 to 40, beside θ and beside terms of the model."""
@@ -110,12 +114,15 @@ def test_scores(fit: Fit, sides: str, with_terms: bool, monkeypatch: pytest.Monk
     def columns(count: int) -> UnmodelledColumns:  # of two or fewer on all axes
         window = random.normal(size=(count, 3, n)) * 1e-6 if "windows" in sides else None
         link = random.normal(size=(count, 3, n - 1)) * 1e-3 if "links" in sides else None
-        if "axis" in sides and count > 2:
+        if "one axis" in sides and count > 2:
             return UnmodelledColumns.axis_by_axis(random.normal(size=(count, n)) * 1e-6)
+        if "each axis" in sides:
+            return UnmodelledColumns.on_each_axis(random.normal(size=(-(-count // 3), n)) * 1e-6)
         return UnmodelledColumns(window, link)
 
     if with_terms:
-        fit = replace(fit, terms=EstimatedTerms(columns(2), np.array([0.1, -0.2]), np.ones(2)))
+        terms = UnmodelledColumns(random.normal(size=(2, 3, n)) * 1e-6, random.normal(size=(2, 3, n - 1)) * 1e-3)
+        fit = replace(fit, terms=EstimatedTerms(terms, np.array([0.1, -0.2]), np.ones(2)))
     groups = [columns(count) for count in (1, 3, 17, 40, 2)]
 
     def scored() -> Any:
@@ -142,6 +149,15 @@ def test_integration(late: float, monkeypatch: pytest.MonkeyPatch) -> None:
     fast, numpy = both(lambda: preintegrate(recording).integrate(np.array([0.01, 0.0, -0.02]), late), monkeypatch)
     for name in ("rotation", "rotation_rate", "rotation_bias", "lever", "field", "link_time"):
         close(getattr(fast, name), getattr(numpy, name))
+
+
+def test_where_windows_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a turn and by their length, in pieces that are no multiple of a stretch."""
+    random = np.random.default_rng(6)
+    step, rate = random.uniform(0.01, 0.2, 300), random.normal(size=(301, 3)) * np.linspace(0, 2, 301)[:, None]
+    fast, numpy = both(lambda: windows_passed(step, rate, 0.3, 0.5), monkeypatch)
+    close(fast, numpy)
+    assert np.unique(fast / step).size in range(200, 300)  # most by the turn, and the slow ones by the length
 
 
 @pytest.mark.parametrize("interval_mean", [False, True])

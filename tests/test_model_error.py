@@ -9,7 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Recording, calibrate, simulate
 from magyc_gtsam.estimators.model_error import ModelError, component, model_error
-from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
+from magyc_gtsam.estimators.model_error.components import (
+    fit_components,
+    likeliest,
+    likeliest_of_each,
+    principal,
+)
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.held_columns import HeldColumns, Products
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
@@ -242,6 +247,18 @@ def test_columns_beside_those_that_are_held() -> None:
             if i in there:
                 for k, found in zip(free, held.without(own, [groups[k] for k in free]), strict=True):
                     same(found, there - {i}, groups[k])
+
+
+def test_groups_at_once_have_the_amplitudes_of_each() -> None:
+    random = np.random.default_rng(4)
+    residual, most = random.normal(size=300), [0.5, 1e-3, 2.0]
+    rows = [random.normal(size=(k, 300)) + size * residual for k, size in ((1, 0.3), (4, 0.1), (7, 0.0))]
+    square, products = float(residual @ residual), [(each @ each.T, each @ residual) for each in rows]
+    found = likeliest_of_each([principal(*each) for each in products], square, 300.0, most)
+    alone = [likeliest(*each, square, 300.0, limit) for each, limit in zip(products, most, strict=True)]
+    np.testing.assert_allclose(found, [each[:2] for each in alone])
+    assert found[0][1] > 0
+    assert alone[0].variance <= alone[0].mean <= most[0]
 
 
 def test_no_amplitude_where_there_is_none() -> None:

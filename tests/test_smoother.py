@@ -549,6 +549,15 @@ def test_a_parameter_without_information_has_an_infinite_variance():
     np.testing.assert_allclose(covariance, np.diag([0.25, np.inf, 1e12]))
 
 
+@pytest.mark.parametrize("share", [1e-3, 1e-10, 1e-16])
+def test_a_covariance_is_bounded_along_a_direction_that_is_hardly_determined(share):
+    """By the eigenvalue s, as a share of each parameter's information, but at least by 1e-15."""
+    information = np.array([[4.0, 2 - 2 * share], [2 - 2 * share, 1.0]])
+    covariance = inverse_information(information, np.ones(2, dtype=bool))
+    along = np.array([2.0, -1.0])
+    assert along @ covariance @ along == pytest.approx(2 / max(share, 1e-15), rel=1e-5)
+
+
 def test_a_descent_does_not_end_before_a_direction_that_is_hardly_determined():
     """The last samples of the survey change the sigmas by nothing; they were thirteen times as wide with them."""
     survey = read(Path(__file__).parents[1] / "datasets" / "lawn_mower_survey.mcap", channels=())

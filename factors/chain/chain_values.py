@@ -54,7 +54,7 @@ class Reduced(NamedTuple):
     cost: half the weighted sum of squares at the state; information (p, p): Schur complement on θ; gradient (p,): of
     the reduced cost; basis (3, 2, n): bases of the tangent planes; on_direction (3, 2, n) and on_parameters (p,
     3, n): whitened Jacobians of the windows; before, after (3, 2, n − 1) and on_bias (3, 3, n − 1), with the bias
-    along the second axis: those of the links; band and factor (4, 2n): the matrix of the directions and its
+    along the second axis: those of the links; band (4, 2n): the matrix of the directions, and band_factor its
     Cholesky factor L; half (2n, p + 1): L⁻¹ of its border with θ and of the directions' gradient.
     """
 
@@ -68,7 +68,7 @@ class Reduced(NamedTuple):
     on_parameters: Array
     on_bias: Array
     band: Array
-    factor: Array
+    band_factor: BandFactor
     half: Array
 
     def absorbed(self, covariance: Array) -> float:
@@ -102,9 +102,9 @@ class Reduced(NamedTuple):
         return slopes
 
     @property
-    def band_factor(self) -> BandFactor:
-        """The factor in the form that the solutions need."""
-        return BandFactor.of(self.factor)
+    def factor(self) -> Array:
+        """L (4, 2n), in lower form with the diagonal first."""
+        return self.band_factor.columns.T
 
     @property
     def _solved(self) -> Array:

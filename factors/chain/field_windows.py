@@ -124,10 +124,9 @@ def gaps(time: Array, starts: np.ndarray, length: float) -> np.ndarray:
         starts: (n,) index of each window's first sample.
         length: s, longest window.
     """
-    step = np.diff(time)
-    across = step[starts[1:] - 1]
+    across = time[starts[1:]] - time[starts[1:] - 1]
     result: np.ndarray = across > length
-    return result & (across > _GAP * median(step)) if result.any() else result
+    return result & (across > _GAP * median(np.diff(time))) if result.any() else result
 
 
 NONE = EmptyWindows(np.empty((3, 0)), np.empty(0, dtype=np.int64))

@@ -91,6 +91,7 @@ class GyroscopeTrack:
         *,
         interval_mean: bool = False,
         stamps: Array | None = None,
+        stamp_variance: Array | None = None,
     ) -> GyroscopeTrack:
         """Integrate the rates (`rotations.increments`).
 
@@ -101,6 +102,7 @@ class GyroscopeTrack:
             interval_mean: the rates are means since the previous stamp.
             stamps: (n,) s inside `time`, where to integrate instead of at `time`; rates AT their stamps are
                 interpolated linearly.
+            stamp_variance: (G − 1,) s², what errors of the stamps add to dt² in each step; None for none.
         """
         b = np.zeros(3) if bias is None else bias
         if stamps is not None:
@@ -113,7 +115,8 @@ class GyroscopeTrack:
             increment = (angular_rate[1:] - b) * np.diff(time)[:, None]
         else:
             increment = increments(time, angular_rate, None if bias is None else b)
-        return cls(time, angular_rate, b, interval_mean, increment, chained(increment))
+        rotation = chained(increment)
+        return cls(time, angular_rate, b, interval_mean, increment, rotation, stamp_variance=stamp_variance)
 
     def following(self, before: GyroscopeTrack, when: float) -> GyroscopeTrack:
         """Return this piece of a track in the world frame of the preceding piece, with K and Σ dt² continued.
@@ -166,7 +169,9 @@ class GyroscopeTrack:
     def squared_time(self) -> Array:
         """Σ dt² up to each stamp (G,) in s², with what errors of the stamps add to it."""
         squared = self.step**2 if self.stamp_variance is None else self.step**2 + self.stamp_variance
-        return np.cumsum(np.concatenate([[self.squared_time_before], squared]))
+        result = np.full(len(self.time), self.squared_time_before)
+        result[1:] += np.cumsum(squared)
+        return result
 
     def motion_at(self, when: Array) -> tuple[Spinor, Array, Array]:
         """Return R as spinors (n,), K (9, n) and the rate (n, 3), as `rotation_at` and `lever_at` do."""

@@ -63,30 +63,33 @@ class Linearised(NamedTuple):
             square = compiled.loops.eliminate(
                 n, self.band, self.border, self.columns, self.links, factor, inverse, absorbed, products
             )
-            return Eliminated(products, 0.5 * square, factor.T, absorbed, int(-square) if square < 0 else 0)
+            failed = int(-square) if square < 0 else 0
+            return Eliminated(products, 0.5 * square, BandFactor(factor, inverse), absorbed, failed)
         flat, links = self.columns.reshape(size, -1), self.links.reshape(4, -1)
         products = flat @ flat.T
         rows = [9, 10, 11, size - 1]  # of the bias and of the residual
         products[np.ix_(rows, rows)] += links @ links.T
         cost = 0.5 * float(products[-1, -1])
-        factor, failed = dpbtrf(self.band.T, lower=1)
+        lower, failed = dpbtrf(self.band.T, lower=1)
         if failed:
-            return Eliminated(products, cost, factor, np.empty((size, 2 * n)), int(failed))
-        absorbed = forward_solved(BandFactor.of(factor), self.border)
-        return Eliminated(products - absorbed @ absorbed.T, cost, factor, absorbed, 0)
+            unknown = BandFactor(lower.T, np.empty(2 * n))
+            return Eliminated(products, cost, unknown, np.empty((size, 2 * n)), int(failed))
+        whole = BandFactor.of(lower)
+        absorbed = forward_solved(whole, self.border)
+        return Eliminated(products - absorbed @ absorbed.T, cost, whole, absorbed, 0)
 
 
 class Eliminated(NamedTuple):
     """The normal equations of a linearisation after the directions are eliminated.
 
     products (p + 1, p + 1): those of the columns on θ and of the residual; cost: half the squared norm of the residual;
-    factor (4, 2n): the Cholesky factor L of the band; absorbed (p + 1, 2n): L⁻¹ of the border, transposed; failed: the
-    number of the row at which the band has no factor, 0 if it has one.
+    factor: L of the band; absorbed (p + 1, 2n): L⁻¹ of the border, transposed; failed: the number of the row at which
+    the band has no factor, 0 if it has one.
     """
 
     products: Array
     cost: float
-    factor: Array
+    factor: BandFactor
     absorbed: Array
     failed: int
 

@@ -20,10 +20,11 @@ delay τ of the magnetometer R is taken at t − τ.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.field_windows import (
     NONE,
     NOTHING,
@@ -60,9 +61,14 @@ def windows_passed(step: Array, rate: Array, turn: float, length: float) -> Arra
 
     A window ends after a rotation by `turn` rad, and after `length` s at the latest.
     """
+    if compiled.loops:
+        passed = np.empty(len(step))
+        limits = np.array([turn, length])
+        compiled.loops.windows_passed(len(step), compiled.given(step), compiled.given(rate), limits, passed)
+        return passed
     x, y, z = np.ascontiguousarray(rate.T)
     speed = np.sqrt(x * x + y * y + z * z)
-    passed: Array = np.maximum(0.5 * (speed[1:] + speed[:-1]) / turn, 1 / length) * step
+    passed = np.maximum(0.5 * (speed[1:] + speed[:-1]) / turn, 1 / length) * step
     return passed
 
 
@@ -145,7 +151,8 @@ class Preintegration:
         for first in range(0, len(time) - 1, _CHUNK):
             rows = slice(first, first + _CHUNK + 1)
             passed = windows_passed(np.diff(time[rows]), self.angular_rate[rows], self.turn, self.length)
-            passed[holes[(holes >= first) & (holes < first + len(passed))] - first] = 1.0
+            if len(holes):
+                passed[holes[(holes >= first) & (holes < first + len(passed))] - first] = 1.0
             passed[0] += ended[first]
             np.cumsum(passed, out=ended[first + 1 : first + _CHUNK + 1])
         return ended
@@ -158,7 +165,7 @@ class Preintegration:
             when = self.magnetometer_time[first : first + _CHUNK]
             own = slice(first, first + len(when))
             same = np.array_equal(when, time[own])
-            window = np.floor(ended[own] if same else np.interp(when, time, ended)).astype(np.int64)
+            window = (ended[own] if same else np.interp(when, time, ended)).astype(np.int64)
             if len(ends):
                 window += np.searchsorted(ends, when, side="right")
             starts.append(first + np.flatnonzero(window != np.concatenate([[last], window[:-1]])))
@@ -260,8 +267,10 @@ class Preintegration:
         if before is not None:
             begin = max(after(rows.start) - 1 - _MARGIN, 0)
         time, rate = self.gyroscope_time[begin:stop], self.angular_rate[begin:stop]
-        track = GyroscopeTrack.integrate(time, rate, bias, interval_mean=self.interval_mean)
-        track = replace(track, stamp_variance=self._stamp_variance(slice(begin, stop)))
+        stamp_variance = self._stamp_variance(slice(begin, stop))
+        track = GyroscopeTrack.integrate(
+            time, rate, bias, interval_mean=self.interval_mean, stamp_variance=stamp_variance
+        )
         return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
 
     def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Spinor, Array, Array]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
-from scipy.linalg.lapack import dgesdd, dgesv, dsyevd
+from scipy.linalg.lapack import dgesdd, dgesv, dpotrf, dsyevd, dtrtri
 
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -22,16 +24,30 @@ def solved(matrix: Array, right: Array) -> Array:
     return np.asarray(result)
 
 
+@cache
+def _identity(size: int) -> Array:
+    return np.eye(size)
+
+
 def inverse(matrix: Array) -> Array:
     """Return the inverse of a matrix (k, k).
 
     Raises:
         np.linalg.LinAlgError: the matrix is singular.
     """
-    _, _, result, failed = dgesv(matrix, np.eye(len(matrix)))
+    _, _, result, failed = dgesv(matrix, _identity(len(matrix)))
     if failed:
         raise np.linalg.LinAlgError("Singular matrix")
     return np.asarray(result)
+
+
+def inverse_root(matrix: Array) -> Array | None:
+    """Return the inverse (k, k) of the Cholesky factor of a symmetric matrix; None if it is not positive definite.
+
+    The inverse of the matrix is its transpose times itself.
+    """
+    root, failed = dpotrf(matrix, lower=1)
+    return None if failed else np.asarray(dtrtri(root, lower=1)[0])
 
 
 def eigenvectors(matrix: Array) -> tuple[Array, Array]:

@@ -115,8 +115,9 @@ def _check_possible(calibration: Any, arrays: Mapping[str, Array], scale: float)
         if not low <= scale <= high:
             raise MagycError(f"soft_iron must scale the field by {low:g} to {high:g}, got {scale:g}")
     for name, (limit, unit) in limits.items():
-        value = arrays.get(name, getattr(calibration, name))
-        if value is not None and np.abs(value).max() > limit:
+        value = getattr(calibration, name)
+        largest = np.abs(arrays[name]).max() if name in arrays else abs(value or 0.0)
+        if largest > limit:
             raise MagycError(f"{name} must be at most {limit:g} {unit}, got {np.asarray(value).tolist()}")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
@@ -256,6 +257,7 @@ def _function(method: str, entry: Method, given: Mapping[str, Any]) -> Callable[
     return function
 
 
+@cache  # the look-up of a module that is loaded takes as long as the first checks of a calibration
 def _imported(name: str) -> Any:
     """Import and return the object named by "module:name"."""
     module, what = name.split(":")

@@ -92,8 +92,9 @@ class IronScale(NamedTuple):
         """Factorise B; the arguments are those of `fix_scale`."""
         if field_strength is not None:
             return cls(scaled / field_strength, field_strength, np.eye(6) / field_strength, sigma)
-        strength, slope = strength_of(vech(scaled))  # it moves with B
-        slopes = np.eye(6) / strength - np.outer(vech(scaled), slope) / strength**2
+        entries = vech(scaled)
+        strength, slope = strength_of(entries)  # it moves with B
+        slopes = (np.eye(6) - np.outer(entries / strength, slope)) / strength
         return cls(scaled / strength, strength, slopes, sigma)
 
     def of_parameters(self, rows: Array) -> Array:

@@ -132,7 +132,8 @@ def _local_noise(windows: FieldWindows, noise: SensorNoise, parameters: Array) -
     free[HARD_IRON] = True
     for _ in range(_NOISE_ROUNDS):
         fits = [fitted(FieldChain(part, noise), parameters, free) for part in parts]
-        squares, redundancy = np.sum([squares_and_redundancies(fit, fit.residuals) for fit in fits], axis=0)
+        each = [squares_and_redundancies(fit, fit.chain.squares(fit.residuals)) for fit in fits]
+        squares, redundancy = np.sum(each, axis=0)
         noise = SensorNoise(*(np.array(noise) * np.sqrt(squares / redundancy)).tolist())
     colour = max(colour_of(np.hstack(parts)) for parts in zip(*(fit.whitened for fit in fits), strict=True))
     return noise, colour, float(redundancy[1])

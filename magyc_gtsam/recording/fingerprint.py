@@ -107,21 +107,22 @@ def _smallest(cells: Hashes) -> Hashes:
     """Return the smallest hashes of the runs of cells (n,), each unlike the one before, ascending."""
     if len(cells) < _RUN + _BACK:  # a run comes after the cells to which it may return
         return np.empty(0, np.uint64)
-    return np.unique(_kept_runs(cells, 2 * _KEPT))[:_KEPT]  # more than are kept, since some may be equal
-
-
-def _kept_runs(cells: Hashes, few: int) -> Hashes:
-    """Return the few smallest hashes of the runs of cells that do not return to the same ones."""
     if compiled.loops:
-        runs, rules = np.empty(few, np.uint64), np.array([_RUN, _BACK, _MOST_BACK, 8 * _BYTES], dtype=float)
+        runs, rules = np.empty(_KEPT, np.uint64), np.array([_RUN, _BACK, _MOST_BACK, 8 * _BYTES], dtype=float)
         return runs[: int(compiled.loops.hash_runs(len(cells), compiled.given(cells), _FACTORS, rules, runs))]
+    kept, some = _kept_runs(cells), 2 * _KEPT  # more than are kept, since some may be equal
+    return np.unique(kept if len(kept) <= some else np.partition(kept, some)[:some])[:_KEPT]
+
+
+def _kept_runs(cells: Hashes) -> Hashes:
+    """Return the hashes of the runs of cells that do not return to the same ones."""
     runs = _hashed_runs(cells[_BACK:]) >> np.uint64(64 - 8 * _BYTES)
     back = np.zeros(len(cells) - _BACK, dtype=bool)
     for k in range(2, _BACK + 1):
         back |= cells[_BACK:] == cells[_BACK - k : -k]
     returns = np.cumsum(np.append(0, back))
     kept: Hashes = runs[returns[_RUN:] - returns[:-_RUN] <= _MOST_BACK]
-    return kept if len(kept) <= few else np.partition(kept, few)[:few]
+    return kept
 
 
 def _hashed_runs(cells: Hashes) -> Hashes:

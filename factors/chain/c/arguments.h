@@ -6,7 +6,7 @@
 
 #include "common.h"
 
-#define MOST_ARRAYS 24
+#define MOST_ARRAYS 128
 
 typedef struct {
     Py_buffer buffer[MOST_ARRAYS];
@@ -38,18 +38,19 @@ static int take(Arrays *a, PyObject *array, int written)
     return 1;
 }
 
-static PyObject *run(Loop loop, PyObject *const *args, size given, int arrays, int written)
+static PyObject *run(Loop loop, PyObject *const *args, size given, int arrays, int more, int written)
 {
-    Arrays a = {.count = 0, .no_memory = 0};
+    Arrays a; /* not initialised, since it is large */
+    a.count = a.no_memory = 0;
     double result = 0.0;
-    if (given != arrays + 1) {
+    if (given - 1 < arrays || given - 1 > (more ? MOST_ARRAYS : arrays)) {
         PyErr_Format(PyExc_TypeError, "%d arrays are expected, got %zd", arrays, given - 1);
         return NULL;
     }
     size n = PyLong_AsSsize_t(args[0]);
     int fit = !PyErr_Occurred();
-    for (int i = 0; fit && i < arrays; i++)
-        fit = take(&a, args[1 + i], i >= arrays - written);
+    for (size i = 1; fit && i < given; i++)
+        fit = take(&a, args[i], i >= given - written);
     if (fit) {
         Py_BEGIN_ALLOW_THREADS
         result = loop(n, &a);
@@ -62,12 +63,14 @@ static PyObject *run(Loop loop, PyObject *const *args, size given, int arrays, i
     return fit ? PyFloat_FromDouble(result) : NULL;
 }
 
-/* Give Python a loop of this many arrays, of which the last are written to. */
-#define TO_PYTHON(loop, arrays, written)                                                                               \
+/* Give Python a loop of this many arrays, or of others before them, of which the last are written to. */
+#define AS_METHOD(loop, arrays, more, written)                                                                         \
     static PyObject *py_##loop(PyObject *self, PyObject *const *args, size given)                                      \
     {                                                                                                                  \
-        return run(loop, args, given, arrays, written);                                                                \
+        return run(loop, args, given, arrays, more, written);                                                          \
     }
+#define TO_PYTHON(loop, arrays, written) AS_METHOD(loop, arrays, 0, written)
+#define TO_PYTHON_MANY(loop, arrays, written) AS_METHOD(loop, arrays, 1, written)
 #define METHOD(loop) {#loop, (PyCFunction)(void (*)(void))py_##loop, METH_FASTCALL, NULL}
 
 #endif

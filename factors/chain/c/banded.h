@@ -6,21 +6,28 @@
 
 #include "lanes.h"
 
-/* Cholesky factor of a band (m, 4), lower, by columns; returns 0, or the number of the first row that has no root. */
+/* Cholesky factor of a band (m, 4), lower, by columns; returns 0, or the number of the first row that has no root.
+
+   A row waits for those before it, so what it takes of them are their entries before the division by the root, and the
+   reciprocal of its square: no root is waited for. */
 static size factorise(size m, in_t band, out_t factor, out_t inverse)
 {
+    double one[4] = {0}, two[4] = {0}, three[4] = {0}; /* of columns j − 1 to j − 3: that reciprocal, and the entries */
     for (size j = 0; j < m; j++) {
-        const double *past = factor + 4 * j, *own = band + 4 * j; /* past[−3 k]: row j of column j − k */
-        double a = j > 0 ? past[-3] : 0.0, b = j > 1 ? past[-6] : 0.0, c = j > 2 ? past[-9] : 0.0;
-        double square = own[0] - a * a - b * b - c * c;
+        const double *own = band + 4 * j;
+        double a = one[1] * one[0], b = two[2] * two[0], c = three[3] * three[0];
+        double square = own[0] - a * one[1] - b * two[2] - c * three[3];
         if (square <= 0.0)
             return j + 1;
+        double column[4] = {1 / square, own[1] - a * one[2] - b * two[3], own[2] - a * one[3], own[3]};
         double root = sqrt(square), *f = factor + 4 * j;
         inverse[j] = 1 / root;
         f[0] = root;
-        f[1] = (own[1] - (j > 0 ? past[-2] * a : 0.0) - (j > 1 ? past[-5] * b : 0.0)) * inverse[j];
-        f[2] = (own[2] - (j > 0 ? past[-1] * a : 0.0)) * inverse[j];
-        f[3] = own[3] * inverse[j];
+        for (int i = 1; i < 4; i++)
+            f[i] = column[i] * inverse[j];
+        memcpy(three, two, sizeof three);
+        memcpy(two, one, sizeof two);
+        memcpy(one, column, sizeof one);
     }
     return 0;
 }

@@ -3,6 +3,7 @@
 #ifndef MAGYC_COLUMNS_H
 #define MAGYC_COLUMNS_H
 
+#include "arguments.h"
 #include "banded.h"
 #include "products.h"
 
@@ -55,34 +56,50 @@ WIDE_VECTORS static void of_axis(size first, size stop, in_t x, in_t scale, in_t
 typedef struct {
     size n, axis;
     const int64_t *on; /* the axis of the windows of each column, (k,), or NULL if they are on all */
-    const double *window, *window_scale, *link, *link_scale, *on_direction, *before, *after, *factor, *inverse;
+    const double *const *window, *const *link; /* where those of each column are, or NULL if no column has any */
+    const double *window_scale, *link_scale, *on_direction, *before, *after, *factor, *inverse;
     double *white_window, *white_link, *absorbed;
 } Columns;
 
-/* From the first arrays of `whiten` and of `score`, and the room for what is whitened. */
-static Columns whitening(size n, int each_axis, double *const *at, double *window, double *link, double *absorbed)
+/* From the arrays of a fit, which `whiten` and `score` take, and the room for what is whitened. */
+static Columns whitening(size n, int each_axis, const double *const *window, const double *const *link,
+                         double *const *at, double *white_window, double *white_link, double *absorbed)
 {
-    Columns result = {n,     each_axis ? n : 0, NULL,  at[0], at[1], at[2],  at[3], at[4],
-                      at[5], at[6],             at[7], at[8], window, link,  absorbed};
+    Columns result = {n,     each_axis ? n : 0, NULL,  window, link,         at[0],      at[1],   at[2],
+                      at[3], at[4],             at[5], at[6],  white_window, white_link, absorbed};
     return result;
+}
+
+/* Where the columns of groups are, given the number of the first of their arrays, one of each group with rows of so many
+   entries, and the numbers of their columns; each row is as many columns as there are more of these. NULL if there are
+   none. */
+static const double **places(const Arrays *a, int array, size groups, const int64_t *count, size length,
+                             const double **place)
+{
+    const double **next = place;
+    for (size g = 0; g < groups; g++, array++)
+        if (a->at[array])
+            for (size c = 0, each = (size)count[g] * length / entries(a, array); c < (size)count[g]; c++)
+                *next++ = a->at[array] + c / each * length;
+    return next > place ? place : NULL;
 }
 
 /* The stretch `first` to `stop` of column c, whitened, and its products b (2, STRETCH) with the directions' Jacobian. */
 static void whiten_stretch(const Columns *k, size c, size first, size stop, double *b)
 {
-    size n = k->n, m = n - 1, window = 3 * n * c, link = 3 * m * c;
+    size n = k->n, m = n - 1;
     if (k->on) {
         size i = (size)k->on[c];
         const double *j = k->on_direction + 2 * i * n;
-        of_axis(first, stop, k->window + n * c, k->window_scale + i * k->axis, j, j + n, k->white_window + n * c, b,
+        of_axis(first, stop, k->window[c], k->window_scale + i * k->axis, j, j + n, k->white_window + n * c, b,
                 b + STRETCH);
     } else if (k->window)
-        of_windows(n, first, stop, k->window + window, k->window_scale, k->axis, k->on_direction,
-                   k->white_window + window, b, b + STRETCH);
+        of_windows(n, first, stop, k->window[c], k->window_scale, k->axis, k->on_direction,
+                   k->white_window + 3 * n * c, b, b + STRETCH);
     else
         memset(b, 0, 2 * STRETCH * sizeof(double));
     if (k->link)
-        of_links(m, first, stop, k->link + link, k->link_scale, k->before, k->after, k->white_link + link, b,
+        of_links(m, first, stop, k->link[c], k->link_scale, k->before, k->after, k->white_link + 3 * m * c, b,
                  b + STRETCH);
 }
 
@@ -118,10 +135,10 @@ typedef struct {
 static void products_of(Fit *f, size own, size some, size all, double *products)
 {
     const Columns *k = &f->columns;
-    size n = k->n, m = n - 1, length = k->on ? n : 3 * n;
+    size n = k->n, m = n - 1;
     Columns part = *k; /* read from `own` on, written from the start */
-    part.window = k->window ? k->window + length * own : NULL;
-    part.link = k->link ? k->link + 3 * m * own : NULL;
+    part.window = k->window ? k->window + own : NULL;
+    part.link = k->link ? k->link + own : NULL;
     part.on = k->on ? k->on + own : NULL;
     for (size first = 0; first < some; first += TOGETHER)
         whiten_together(&part, first, LEAST(TOGETHER, some - first));

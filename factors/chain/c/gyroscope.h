@@ -75,6 +75,30 @@ static double increments(size n, Arrays *a)
 }
 TO_PYTHON(increments, 4, 1)
 
+/* Fractions (m,) of a window that pass in m steps between rates (m + 1, 3), as `preintegration.windows_passed`. */
+WIDE_VECTORS static void passed_in_steps(size m, in_t step, in_t rate, double turn, double length, out_t passed)
+{
+    double speed[STRETCH + 1], least = 1 / length;
+    for (size first = 0; first < m; first += STRETCH) {
+        size some = LEAST(STRETCH, m - first);
+        const double *w = rate + 3 * first;
+        for (size t = 0; t <= some; t++)
+            speed[t] = sqrt(w[3 * t] * w[3 * t] + w[3 * t + 1] * w[3 * t + 1] + w[3 * t + 2] * w[3 * t + 2]);
+        for (size t = 0; t < some; t++) {
+            double share = 0.5 * (speed[t + 1] + speed[t]) / turn;
+            passed[first + t] = (share < least ? least : share) * step[first + t];
+        }
+    }
+}
+
+/* step (m,), rate (m + 1, 3), limits (2,): turn and length of a window; passed (m,) */
+static double windows_passed(size m, Arrays *a)
+{
+    passed_in_steps(m, a->at[0], a->at[1], a->at[2][0], a->at[2][1], a->at[3]);
+    return 0.0;
+}
+TO_PYTHON(windows_passed, 4, 1)
+
 /* cos and sin(φ)/2φ of half the angles of `some` rotation vectors (3, n), whose series are exact to rounding. */
 WIDE_VECTORS static void half_angles(size some, in_t vector, size n, out_t cosine, out_t half)
 {

@@ -38,20 +38,22 @@ WIDE_VECTORS static void returns_to(size n, size back, const uint64_t *cell, uin
             again[t] |= cell[t] == cell[t - k];
 }
 
-/* Put a value among the `kept` smallest ones, ascending, of which there are `most`; returns how many are kept now. */
+/* Put a value among the `kept` smallest different ones, ascending, at most so many; returns how many are kept now. */
 static inline size put_in_order(uint64_t value, uint64_t *smallest, size kept, size most)
 {
-    if (kept == most && value >= smallest[most - 1])
+    size place = kept;
+    while (place > 0 && smallest[place - 1] > value)
+        place--;
+    if (place == most || (place > 0 && smallest[place - 1] == value))
         return kept;
-    size k = kept < most ? kept : most - 1, now = k + 1;
-    for (; k > 0 && smallest[k - 1] > value; k--)
-        smallest[k] = smallest[k - 1];
-    smallest[k] = value;
+    size now = LEAST(kept + 1, most);
+    memmove(smallest + place + 1, smallest + place, sizeof(uint64_t) * (size_t)(now - 1 - place));
+    smallest[place] = value;
     return now;
 }
 
 /* cells (n,) of uint64, factors (3,) of uint64, rules (4,): run, back, most and bits; hashes (few,) of uint64: the
-   smallest, ascending, of the runs that `fingerprint._kept_runs` keeps. Returns their number. */
+   smallest different ones, ascending, as `fingerprint._smallest`. Returns their number. */
 static double hash_runs(size n, Arrays *a)
 {
     const uint64_t *cell = (const uint64_t *)a->at[0], factor = *(const uint64_t *)a->at[1];

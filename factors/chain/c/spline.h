@@ -28,8 +28,8 @@ ALWAYS_INLINE void slopes_in_lanes(int lanes, size n, in_t values, in_t inverse,
         double *own = work + lanes * t;
         for (int c = 0; c < lanes; c++) {
             double value = own[c];
-            right[c] = u * (value - previous[c]) + v * (own[lanes + c] - value) - factor * right[c] -
-                       (t == 1 ? inverse[0] * first[c] : 0.0) - (t == n - 2 ? inverse[n - 2] * last[c] : 0.0);
+            double ends = (t == 1 ? inverse[0] * first[c] : 0.0) + (t == n - 2 ? inverse[n - 2] * last[c] : 0.0);
+            right[c] = u * (value - previous[c]) + v * (own[lanes + c] - value) - ends - factor * right[c];
             previous[c] = value;
             own[c] = right[c];
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -115,8 +116,8 @@ def _tested(
     each = zip(families, new, groups, found, strict=True)
     level = beside.square / beside.freedom
     return [
-        FamilyTest(family, own, group, best.gain, float(np.sqrt(best.variance * level)), own)
-        for family, own, group, best in each
+        FamilyTest(family, own, group, gain, sqrt(variance * level), own)
+        for family, own, group, (variance, gain) in each
     ]
 
 

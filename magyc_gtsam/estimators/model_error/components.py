@@ -50,7 +50,9 @@ def principal(normal: Array, score: Array) -> PrincipalAxes:
             raise MagycError("model error: the products of a group of columns are not finite")
     else:
         value, vector = normal[0], _ONE
-    return PrincipalAxes(np.maximum(value, 0.0), vector, score @ vector)
+    if value[0] < 0:  # the least one
+        value = np.maximum(value, 0.0)
+    return PrincipalAxes(value, vector, score @ vector)
 
 
 _VARIANCE_GRID = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
@@ -74,30 +76,32 @@ def likeliest(
 
     `usual` bounds the mean of the variance, unless a larger one is the likeliest; it is `most` by default.
     """
-    return likeliest_of_each(
-        [principal(normal, score)], square, freedom, [most], None if usual is None else [usual]
-    )[0]
+    (variance,), (gain,) = _on_grid([principal(normal, score)], square, freedom, np.array([most]))
+    best = int(gain.argmax())
+    top, rise = float(variance[best]), float(gain[best])
+    if not rise > 0:
+        return VarianceEstimate(0.0, 0.0, 0.0)
+    share = np.exp(gain - rise) * (variance <= max(top, most if usual is None else usual))
+    return VarianceEstimate(top, rise, max(top, float(share @ variance / share.sum())))  # what is seen stays
 
 
 def likeliest_of_each(
-    groups: Sequence[PrincipalAxes],
-    square: float,
-    freedom: float,
-    most: Sequence[float],
-    usual: Sequence[float] | None = None,
-) -> list[VarianceEstimate]:
-    """Return the likeliest variance of each group by itself, up to its entry of `most`; `usual` as in `likeliest`."""
+    groups: Sequence[PrincipalAxes], square: float, freedom: float, most: Sequence[float]
+) -> list[tuple[float, float]]:
+    """Return the likeliest variance of each group by itself, up to its entry of `most`, and its gain over v = 0."""
     if not groups:
         return []
-    variance = np.array(most)[:, None] * _VARIANCE_GRID
-    gain, _ = log_likelihoods(groups, square, freedom, variance)
-    best = np.argmax(gain, axis=1)
-    top, rise = variance[range(len(best)), best], gain[range(len(best)), best]
-    bound = np.maximum(top, most if usual is None else usual)
-    share = np.exp(gain - rise[:, None]) * (variance <= bound[:, None])
-    mean = np.maximum(top, (share * variance).sum(axis=1) / share.sum(axis=1))  # an amplitude that is seen stays
-    found = zip(top.tolist(), rise.tolist(), mean.tolist(), strict=True)
-    return [VarianceEstimate(*each) if each[1] > 0 else VarianceEstimate(0.0, 0.0, 0.0) for each in found]
+    largest = np.array(most)
+    _, gain = _on_grid(groups, square, freedom, largest)
+    top = largest * _VARIANCE_GRID[gain.argmax(axis=1)]
+    found = zip(top.tolist(), gain.max(axis=1).tolist(), strict=True)
+    return [each if each[1] > 0 else (0.0, 0.0) for each in found]
+
+
+def _on_grid(groups: Sequence[PrincipalAxes], square: float, freedom: float, most: Array) -> tuple[Array, Array]:
+    """Return variances (f, m) of f groups, each up to its entry of `most` (f,), and the gain of each by itself."""
+    variance = most[:, None] * _VARIANCE_GRID
+    return variance, log_likelihoods(groups, square, freedom, variance)[0]
 
 
 def log_likelihoods(

@@ -16,12 +16,15 @@ from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.factors.chain.vech import UPPER, vech
 
 _WARM = 300.0  # s, in which a sensor warms up; a shorter log has its share of the largest drift
 
 
 _ONSET = 0.85  # share of a recording after which a late drift begins
+_EACH_OFFSET, _EACH_BIAS = np.eye(PARAMETERS)[:, 6:9], np.eye(PARAMETERS)[:, 9:12]
+# (6, 3) share of a change of each row of the soft iron in the entries of its symmetric part.
+_OF_ROW = 0.5 * sum(np.equal.outer(side, np.arange(3)) for side in UPPER)
 
 
 class LinearDrift(NamedTuple):
@@ -44,11 +47,8 @@ def _gain(motion: WindowMotion) -> UnmodelledColumns:
 def _gain_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) soft and hard iron at the end of the recording less their means, per unit of each column."""
     result = np.zeros((PARAMETERS, 3))
-    for axis in range(3):
-        turned = np.zeros((3, 3))
-        turned[axis] = motion.soft_iron[axis]
-        result[:6, axis] = vech(0.5 * (turned + turned.T))
-        result[6 + axis, axis] = motion.hard_iron[axis]
+    result[:6] = vech(motion.soft_iron)[:, None] * _OF_ROW
+    np.fill_diagonal(result[6:9], motion.hard_iron)
     return result
 
 
@@ -59,7 +59,7 @@ def _offset(motion: WindowMotion) -> UnmodelledColumns:
 
 def _offset_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) the hard iron at the end of the recording less its mean, per unit of each column."""
-    return np.vstack([np.zeros((6, 3)), motion.strength * np.eye(3), np.zeros((PARAMETERS - 9, 3))])
+    return motion.strength * _EACH_OFFSET
 
 
 def _bias(motion: WindowMotion) -> UnmodelledColumns:
@@ -69,7 +69,7 @@ def _bias(motion: WindowMotion) -> UnmodelledColumns:
 
 def _bias_at_end(motion: WindowMotion) -> Array:
     """Return (13, 3) the gyroscope bias at the end of the recording less its mean, per unit of each column."""
-    return np.vstack([np.zeros((9, 3)), np.eye(3), np.zeros((PARAMETERS - 12, 3))])
+    return _EACH_BIAS
 
 
 def late_up_to(largest: float) -> Callable[[WindowMotion], float]:
@@ -98,12 +98,5 @@ BIAS = LinearDrift(_bias, _bias_at_end)
 
 def waves_at_end(waves: tuple[int, int], of_bias: bool = False) -> Callable[[WindowMotion], Array]:
     """Return the function for (13, 3w) the hard iron, or the bias, at the end of the recording of w waves per axis."""
-
-    def there(motion: WindowMotion) -> Array:
-        result = np.zeros((PARAMETERS, 3 * (waves[1] - waves[0])))
-        ends = np.sqrt(2) * (-1.0) ** np.arange(*waves)
-        rows, unit = (slice(9, 12), 1.0) if of_bias else (slice(6, 9), motion.strength)
-        result[rows] = unit * (ends[:, None, None] * np.eye(3)).swapaxes(0, 1).reshape(3, -1)
-        return result
-
-    return there
+    each = np.kron(np.sqrt(2) * (-1.0) ** np.arange(*waves), _EACH_BIAS if of_bias else _EACH_OFFSET)
+    return lambda motion: each if of_bias else motion.strength * each

@@ -181,11 +181,7 @@ def _doubted(fit: Fit) -> int:
     Residuals that are not white, or partly rejected, come from something. Boards may be misaligned, but a field that
     varies with the attitude (stage 1) looks alike.
     """
-    if (
-        fit.colour > 1
-        or fit.slow > _SLOW
-        or min(fit.weights.window.mean(), fit.weights.link.mean()) < _ALL_TRUSTED
-    ):
+    if fit.colour > 1 or fit.slow > _SLOW or min(fit.trusted_share, float(fit.weights.link.mean())) < _ALL_TRUSTED:
         return len(_SUSPECT)
     return 1 if fit.skew is not None and fit.skew.decided else 0
 

@@ -20,9 +20,7 @@ def averaged_moments(groups: Sequence[PrincipalAxes], variance: Array, share: Ar
         level: (f, m) φ under each, times its weight.
     """
     if compiled.loops:
-        value, vector, pull = (
-            np.concatenate([part.ravel() for part in each]) for each in zip(*groups, strict=True)
-        )
+        value, vector, pull = (np.concatenate(each, axis=None) for each in zip(*groups, strict=True))
         count, second = _counts([group.value for group in groups]), np.empty(len(vector))
         inputs = map(compiled.given, (count, value, vector, pull, variance, share, level))
         compiled.loops.average_moments(variance.shape[1], *inputs, second)
@@ -45,7 +43,7 @@ def propagated(moves: Sequence[Array], seconds: Sequence[Array]) -> list[Array]:
     if not moves or compiled.loops is None:
         return [move @ second @ move.T for move, second in zip(moves, seconds, strict=True)]
     p, result = len(moves[0]), np.empty((len(moves), len(moves[0]), len(moves[0])))
-    every, second = np.concatenate(moves, axis=1), np.concatenate([each.ravel() for each in seconds])
+    every, second = np.concatenate(moves, axis=1), np.concatenate(seconds, axis=None)
     compiled.loops.propagate(p, _counts(seconds), every, second, result)
     return list(result)
 

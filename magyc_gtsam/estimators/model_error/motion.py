@@ -181,7 +181,7 @@ class WindowMotion:
 
     def in_sensor(self, profiles: Array) -> UnmodelledColumns:
         """Return the columns of profiles (k, n) along each of the sensor's axes, in units of the field strength."""
-        return UnmodelledColumns.axis_by_axis(np.repeat(self.strength * profiles, 3, axis=0))
+        return UnmodelledColumns.on_each_axis(self.strength * profiles)
 
     def in_world(self, profiles: Array) -> UnmodelledColumns:
         """Return the columns of profiles (k, n) along each of the world's axes, in units of the field strength."""

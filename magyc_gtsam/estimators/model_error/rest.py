@@ -19,7 +19,10 @@ def moving(time: Array, rotation: Array) -> np.ndarray:
         return np.ones(len(time), dtype=bool)
     rate = _angles(rotation) / np.maximum(np.diff(time), 1e-9)
     least = _RESTING * float(np.sqrt(np.mean(rate**2)))
-    result: np.ndarray = np.maximum(np.append(rate, rate[-1]), np.append(rate[0], rate)) > least
+    turned = rate > least
+    result = np.zeros(len(time), dtype=bool)
+    result[:-1] = turned
+    result[1:] |= turned
     return result
 
 

@@ -129,10 +129,10 @@ def coarse_step(recording: Streams) -> float:
     """Return the step, in T, of a magnetometer whose noise does not spread readings over several steps; 0 otherwise."""
     _, field = _stretch(*recording.magnetometer)
     change = np.abs(np.diff(field[:_ENOUGH], axis=0))
-    change = change[change > 0]
-    if not len(change):
+    real = np.count_nonzero(change)
+    if not real:
         return 0.0
-    step = float(change[change > _ROUNDING * change.mean()].min())
+    step = float(change[change > _ROUNDING * change.sum() / real].min())
     return step if step > _COARSE * magnetometer_noise(recording) else 0.0
 
 
@@ -223,8 +223,10 @@ def in_bursts(recording: Streams) -> str:
         return ""
     apart = np.diff(time)
     within = apart < _TOGETHER * (time[-1] - time[0]) / len(apart)
+    if len(within) > 2 * np.count_nonzero(within):
+        return ""
     first = np.flatnonzero(~within) + 1
-    if len(within) > 2 * np.count_nonzero(within) or len(first) < _LEAST_BURSTS:
+    if len(first) < _LEAST_BURSTS:
         return ""
     change = field[first[1:] - 1] - field[first[:-1]]
     if float(np.square(change).mean()) < _STANDING * 2 * magnetometer_noise(recording) ** 2:

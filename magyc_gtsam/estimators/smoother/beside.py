@@ -90,8 +90,7 @@ class ColumnProducts(WhitenedFit):
 
     def _of_alike(self, groups: dict[int, UnmodelledColumns]) -> dict[int, tuple[Array, Array, Array]]:
         """Return {key: (G, s, explained)} of groups that are all on the same sensors."""
-        columns, sizes = joined(list(groups.values())), [group.size for group in groups.values()]
-        explained, score, normals = (self._compiled if compiled.loops else self._in_numpy)(columns, sizes)
+        explained, score, normals = (self._compiled if compiled.loops else self._in_numpy)(list(groups.values()))
         result, first = {}, 0
         for i, normal in zip(groups, normals, strict=True):
             rows = slice(first, first + len(normal))
@@ -99,20 +98,19 @@ class ColumnProducts(WhitenedFit):
             result[i] = normal, score[rows], explained[:, rows]
         return result
 
-    def _compiled(self, columns: UnmodelledColumns, sizes: Sequence[int]) -> tuple[Array, Array, list[Array]]:
-        """Return `explained` (free, K), s (K,) and the matrices G of groups with these numbers of columns."""
-        count, ends = columns.size, list(accumulate(size * size for size in sizes))
+    def _compiled(self, groups: Sequence[UnmodelledColumns]) -> tuple[Array, Array, list[Array]]:
+        """Return `explained` (free, K), s (K,) and the matrices G of groups on the same sensors."""
+        sizes = [group.size for group in groups]
+        ends = list(accumulate(size * size for size in sizes))
         of_window, of_link = self._onto
-        products, normal = np.empty((len(of_window), count)), np.empty(ends[-1])
-        scale, link_scale, *jacobians = self._whitening
+        products, normal = np.empty((len(of_window), sum(sizes))), np.empty(ends[-1])
+        axes = [group.axis for group in groups if group.axis is not None]
         compiled.loops.score(
             len(self.fit.chain.windows),
-            compiled.given(columns.window),
-            scale,
-            compiled.given(columns.link),
-            link_scale,
-            *jacobians,
-            compiled.given(columns.axis),
+            *(compiled.given(group.window) for group in groups),
+            *(compiled.given(group.link) for group in groups),
+            *self._whitening,
+            np.concatenate(axes) if axes else compiled.NONE,
             of_window,
             of_link,
             np.array([ROUNDING]),
@@ -123,13 +121,13 @@ class ColumnProducts(WhitenedFit):
         normals = [normal[e - k * k : e].reshape(k, k) for e, k in zip(ends, sizes, strict=True)]
         return products[:-1], products[-1], normals
 
-    def _in_numpy(self, columns: UnmodelledColumns, sizes: Sequence[int]) -> tuple[Array, Array, list[Array]]:
-        window, link, absorbed = self.whiten(columns)
+    def _in_numpy(self, groups: Sequence[UnmodelledColumns]) -> tuple[Array, Array, list[Array]]:
+        window, link, absorbed = self.whiten(joined(groups))
         of_each = zip(self._onto, (window, link), strict=True)
         products = sum((rows @ part.T for rows, part in of_each if part is not None), np.zeros(()))
         explained = products[:-1]
         normals, first = [], 0
-        for size in sizes:
+        for size in (group.size for group in groups):
             rows = slice(first, first + size)
             first, taken, kept = rows.stop, absorbed[rows] @ absorbed[rows].T, explained[:, rows]
             normal = sum(part[rows] @ part[rows].T for part in (window, link) if part is not None) - taken

@@ -13,7 +13,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 class UnmodelledColumns(NamedTuple):
     """Columns per unit amplitude: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None stands for zeros.
 
-    With `axis` (k,), the columns of the windows act on one axis of the sensor each, and are (k, n).
+    With `axis` (k,), the columns of the windows act on one axis of the sensor each, and are (k, n), or (k / 3, n) if
+    each row is the profile of three columns, one per axis.
     """
 
     window: Array | None
@@ -25,19 +26,31 @@ class UnmodelledColumns(NamedTuple):
         """Return columns of the windows (3q, n) T that act on x, y, z, x, …"""
         return cls(window, None, np.arange(len(window)) % 3)
 
+    @classmethod
+    def on_each_axis(cls, profiles: Array) -> UnmodelledColumns:
+        """Return columns of the windows with profiles (q, n) T: of the first on x, y and z, of the second on x, …"""
+        return cls(profiles, None, np.arange(3 * len(profiles)) % 3)
+
     @property
     def size(self) -> int:
         """The number of columns k."""
-        one = self.window if self.window is not None else self.link
-        return 0 if one is None else len(one)
+        one = next((part for part in (self.axis, self.window, self.link) if part is not None), ())
+        return len(one)
+
+    @property
+    def one_by_one(self) -> UnmodelledColumns:
+        """The same columns, with a row of the windows for each."""
+        if self.window is None or self.axis is None or len(self.window) == len(self.axis):
+            return self
+        return self._replace(window=np.repeat(self.window, 3, axis=0))
 
     @property
     def on_all_axes(self) -> UnmodelledColumns:
         """The same columns, those of the windows (k, 3, n)."""
         if self.window is None or self.axis is None:
             return self
-        whole = np.zeros((len(self.window), 3, self.window.shape[1]))
-        whole[np.arange(len(whole)), self.axis] = self.window
+        whole = np.zeros((len(self.axis), 3, self.window.shape[1]))
+        whole[np.arange(len(whole)), self.axis] = self.one_by_one.window
         return UnmodelledColumns(whole, self.link)
 
     def less(self, other: UnmodelledColumns) -> UnmodelledColumns:
@@ -48,7 +61,7 @@ class UnmodelledColumns(NamedTuple):
 
     def only(self, kept: np.ndarray) -> UnmodelledColumns:
         """Return the columns with those that are not `kept` ((k,) bool) set to zero."""
-        window, link = (None if part is None else (kept * part.T).T for part in self[:2])
+        window, link = (None if part is None else (kept * part.T).T for part in self.one_by_one[:2])
         return UnmodelledColumns(window, link, self.axis)
 
     def mixed(self, matrix: Array) -> UnmodelledColumns:
@@ -77,5 +90,6 @@ class EstimatedTerms(NamedTuple):
 
 def joined(groups: Sequence[UnmodelledColumns]) -> UnmodelledColumns:
     """Concatenate the columns of groups that act on the same sensors, all with `axis` or none."""
-    parts = ([part for part in each if part is not None] for each in zip(*groups, strict=True))
+    rows = (group.one_by_one for group in groups)
+    parts = ([part for part in each if part is not None] for each in zip(*rows, strict=True))
     return UnmodelledColumns(*(np.concatenate(part) if part else None for part in parts))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from magyc_gtsam.estimators.smoother.whitened_fit import Minimum
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.small import eigenvectors, solved
+from magyc_gtsam.factors.chain.small import eigenvectors, inverse_root, solved
 from magyc_gtsam.factors.errors import MagycError
 
 MAX_ITERATIONS = 40
@@ -31,6 +32,7 @@ NEAR = 4.0  # the same limit between updates of noise levels and weights: two si
 _UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are relinearised
 _ROUNDING = 1e-9  # tolerance on the cost, which is close to zero for noise-free data
 _SLOW_LAGS = 8  # windows, over which autocorrelations are added
+_ROUNDED = 1e-8  # eigenvalue of a scaled information below which rounding may matter to its inverse
 COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
@@ -119,10 +121,15 @@ def inverse_information(information: Array, free: np.ndarray, least: float = 1e-
         result[kept] = inverse_information(own, np.ones(len(own), dtype=bool), least)
         return result
     scale = 1 / np.sqrt(np.maximum(information.diagonal(), 1e-300))
-    value, vector = eigenvectors(information * scale * scale[:, None])
-    value = np.maximum(value, least)
+    scaled = information * scale * scale[:, None]
+    root = inverse_root(scaled)
+    # No eigenvalue is less than the reciprocal of the inverse's trace, so that here none is below the bound.
+    if root is not None and np.vdot(root, root) * max(least, _ROUNDED) < 1:
+        covariance: Array = root.T @ root * scale * scale[:, None]
+        return covariance
+    value, vector = eigenvectors(scaled)
     with np.errstate(over="ignore"):  # no residual depends on a parameter: its variance is infinite
-        covariance: Array = (vector / value) @ vector.T * scale * scale[:, None]
+        covariance = (vector / np.maximum(value, least)) @ vector.T * scale * scale[:, None]
     return covariance
 
 
@@ -139,12 +146,12 @@ def colour_of(residual: Array) -> float:
 
 
 def _sum_of_correlations(residual: Array) -> float:
-    lags = range(1, min(_SLOW_LAGS, residual.shape[1] - 1) + 1)
-    total = float(np.vdot(residual, residual)) * np.sqrt(len(lags) / residual.size)
-    apart = np.zeros((len(residual), residual.shape[1] + len(lags)))  # zeros keep the rows apart
+    lags = min(_SLOW_LAGS, residual.shape[1] - 1)
+    apart = np.zeros((len(residual), residual.shape[1] + lags))  # zeros keep the rows apart
     apart[:, : residual.shape[1]] = residual
     flat = apart.ravel()
-    return sum(float(flat[lag:] @ flat[:-lag]) for lag in lags) / max(total, 1e-300)
+    square, *products = np.correlate(flat, flat[:-lags]).tolist()
+    return sum(products) / max(square * sqrt(lags / residual.size), 1e-300)
 
 
 def begin(chain: FieldChain, parameters: Array, free: np.ndarray, patience: int = PATIENCE) -> Fit:

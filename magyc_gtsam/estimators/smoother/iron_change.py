@@ -99,7 +99,7 @@ def hard_iron_change(
     other, covariance = found
     change = other.state.parameters[6:9] - fit.state.parameters[6:9]
     explained = (
-        other.weights.window.mean() >= _LIMITS.explained
+        other.trusted_share >= _LIMITS.explained
         and other.chain.noise.magnetometer <= _LIMITS.noise * fit.chain.noise.magnetometer
     )
     apart = change @ np.linalg.solve(covariance + fit.covariance[6:9, 6:9], change) > _LIMITS.sigmas**2

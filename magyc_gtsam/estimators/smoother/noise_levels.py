@@ -32,7 +32,7 @@ def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
     before = weights
     for _ in range(rounds):
         state, before = chain.settled(state, weights), weights
-        weights = _reweigh(chain, chain.residuals(state))
+        weights = _reweigh(*chain.squares(chain.residuals(state)))
         moved = np.abs(weights.window - before.window).mean() + np.abs(weights.link - before.link).mean()
         if moved < _WEIGHTS_STABLE:
             break
@@ -63,14 +63,15 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
     """
     for _ in range(_ROUNDS):
         residuals = fit.residuals
-        weights = _reweigh(fit.chain, residuals) if reject else fit.weights
+        squares = fit.chain.squares(residuals)
+        weights = _reweigh(*squares) if reject else fit.weights
         moved = float(
             np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
         )
         fit = replace(fit, weights=weights) if moved else fit
         noise, left, freedom = fit.chain.noise, 0.0, fit.noise_freedom
         if short_term is not None:
-            noise, left, freedom = improved_noise(fit, residuals, short_term)
+            noise, left, freedom = improved_noise(fit, residuals.window, squares, short_term)
         stable = left < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
         chain = replace(fit.chain, noise=noise)
         reduced = chain.eliminate(fit.state, weights)
@@ -85,24 +86,25 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
     return replace(fit, converged=False)
 
 
-def _reweigh(chain: FieldChain, residuals: Residuals) -> Weights:
-    """Return the redescending weights min(1, (c²/χ²)²), which are one below the threshold c²."""
-    window, link = chain.squares(residuals)
+def _reweigh(window: Array, link: Array) -> Weights:
+    """Return the redescending weights min(1, (c²/χ²)²) by squares χ², which are one below the threshold c²."""
     return Weights(
         np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-100)) ** 2),
         np.minimum(1.0, (_LINK_OUTLIER / np.maximum(link, 1e-100)) ** 2),
     )
 
 
-def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> tuple[SensorNoise, float, float]:
+def improved_noise(
+    fit: Fit, residual: Array, squares: tuple[Array, Array], short_term: SensorNoise
+) -> tuple[SensorNoise, float, float]:
     """Take one average-information step on the restricted likelihood of the two noise levels.
 
     Gilmour, Thompson and Cullis (1995). With Q the weighted squares of a group and D its redundancy
     (residuals less the trace of its block of the hat matrix; the two traces add up to the number of
     unknowns, so that only the windows' is computed), the gradient in log σ² is Q − D, and the average
     information [[Q₁ − c, c], [c, Q₂ − c]] needs one more solve: c = gᵀ K⁻¹ g, with g the gradient of one
-    group (at the minimum the other's is −g) and K the full normal matrix. `residuals` are those of the fit; they do not
-    depend on its weights, so that they are shared with the update of these.
+    group (at the minimum the other's is −g) and K the full normal matrix. `residual` is that of the fit's windows, and
+    `squares` those of windows and links; they do not depend on its weights, and are shared with the update of these.
 
     Where the magnetometer's noise hides that of the gyroscope, the likelihood's maximum may lie at a third of the true
     noise, and the bias' sigma with it; a level below the short-term noise therefore has a prior, `_GYROSCOPE_BELOW`.
@@ -117,10 +119,10 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
     chain, covariance = fit.chain, fit.covariance
     if not np.isfinite(covariance).all():  # no residual depends on a parameter: the redundancies are undefined
         return chain.noise, 0.0, fit.noise_freedom
-    squares, redundancy = squares_and_redundancies(fit, residuals)
-    shared = explained(fit, residuals.window * (chain.window_scale * np.sqrt(fit.weights.window)), covariance)
-    information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
-    gradient = squares - redundancy
+    weighted, redundancy = squares_and_redundancies(fit, squares)
+    shared = explained(fit, residual * (chain.window_scale * np.sqrt(fit.weights.window)), covariance)
+    information = np.array([[weighted[0] - shared, shared], [shared, weighted[1] - shared]])
+    gradient = weighted - redundancy
     level = np.array(chain.noise)
     freedom = float(redundancy[1])
     below = 2 * np.log(level[1] / short_term.gyroscope)
@@ -144,15 +146,14 @@ def improved_noise(fit: Fit, residuals: Residuals, short_term: SensorNoise) -> t
 
 def scatter(fit: Fit) -> SensorNoise:
     """Return the noise levels that the residuals show, which are those of the fit unless these were given."""
-    squares, redundancy = squares_and_redundancies(fit, fit.residuals)
+    squares, redundancy = squares_and_redundancies(fit, fit.chain.squares(fit.residuals))
     shown = np.array(fit.chain.noise) * np.sqrt(squares / np.maximum(redundancy, 1.0))
     return SensorNoise(*shown.tolist())
 
 
-def squares_and_redundancies(fit: Fit, residuals: Residuals) -> tuple[Array, Array]:
-    """Return the weighted squares Q (2,) of windows and links, and their redundancies D (2,)."""
-    chain, weights = fit.chain, fit.weights
-    window, link = chain.squares(residuals)
+def squares_and_redundancies(fit: Fit, squares: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the weighted sums Q (2,) of the squares of windows and links, and their redundancies D (2,)."""
+    chain, weights, (window, link) = fit.chain, fit.weights, squares
     absorbed = fit.reduced.absorbed(fit.covariance)
     unknowns = float(2 * len(chain.windows) + fit.free.sum())
     if chain.facts:  # prior knowledge uses up no redundancy of the data

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import comb, log
+from math import comb, log, sqrt
 from typing import Protocol
 
 import numpy as np
@@ -101,25 +101,29 @@ def _noise(samples: Samples, least: float) -> float:
     value = samples.value
     stride = len(value) // _TRIPLETS | 1  # odd: with two rows per interpolated sample the triplets hit both
     square, size = _second_differences(value, stride)
-    square /= 18
     # Upper quartile of sqrt(χ²₃/3), because half of the differences are zero with drivers that interpolate; if more,
     # the median of those that are not zero.
-    real = np.count_nonzero(square > _ROUNDING**2 * size)
+    real = np.count_nonzero(square > 18 * _ROUNDING**2 * size)
     upper = max(3 * (len(square) - 1) // 4, len(square) - 1 - real // 2)
-    found = _at(square, upper)
+    found = _at(square, upper, 2)
     # Otherwise a driver interpolates, which higher differences show more.
     if real == len(square) and len(value) > _ORDERS[-1]:
-        squares = zip(_higher_differences(value, stride), _ORDERS, strict=True)
-        third, fourth = (_at(each / (3 * comb(2 * order, order)), upper) for each, order in squares)
+        third, fourth = _higher_differences(value, stride)
+        smaller = _at(third, upper, 3)
         # White noise is the same in both; of filtered noise ever less remains.
-        found = third if third < _MOVING * found and fourth > _MOVING * third else found
+        if smaller < _MOVING * found and _at(fourth, upper, 4) > _MOVING * smaller:
+            found = smaller
     return max(found, least)
 
 
-def _at(square: Array, place: int) -> float:
-    """Return the standard deviation of noise of whose scaled squares one is in a place of their order."""
+def _at(square: Array, place: int, order: int) -> float:
+    """Return the standard deviation of noise of whose squared differences one is in a place of their order.
+
+    The squares are put in another order.
+    """
     place = min(place, len(square) - 1)
-    return float(np.sqrt(np.partition(square, place)[place])) / 1.170
+    square.partition(place)
+    return sqrt(square[place] / (3 * comb(2 * order, order))) / 1.170
 
 
 def _second_differences(value: Array, stride: int) -> tuple[Array, float]:

@@ -32,7 +32,7 @@ _ALIGNED = np.radians(0.3)
 def jumped(fit: Fit, recording: Recording) -> list[str]:
     """Return a sentence on the field's jumps if the fit rejects much of the recording, or much of its end."""
     latest = fit.weights.window[-max(int(_LATEST * len(fit.weights.window)), 1) :]
-    if fit.weights.window.mean() >= _LEAST_TRUSTED and latest.mean() >= _LEAST_TRUSTED:
+    if fit.trusted_share >= _LEAST_TRUSTED and latest.mean() >= _LEAST_TRUSTED:
         return []
     jumps = field_jumps(recording)
     if not jumps:
@@ -83,7 +83,7 @@ def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:
         reasons.append(
             f"{misfit}: the field or the instrument changed during the recording; choose an interval (start=, end=)"
         )
-    trusted = float(fit.weights.window.mean())
+    trusted = fit.trusted_share
     if trusted < _LEAST_TRUSTED:
         reasons.append(
             f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -95,15 +94,14 @@ def fit_field_chain(
             _, iron, bias = np.split(begun.state.parameters[:12], [6, 9])
             places = (starts.from_prior(windows, known.soft_iron, each, bias) for each in (known.hard_iron, iron))
             begun = min((begin(chain, each, free, patience) for each in places), key=lambda fit: fit.reduced.cost)
-        check_axes = cache(partial(axes.check, recording))  # cached: it costs as much as a few iterations
         near = descend(begun, NEAR)
         if not near.converged and not brief:
-            check_axes()
+            axes.check(recording)
         best = _reintegrated(samples, near)
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
-        if not brief and (not explained or level.magnetometer > 0.1 * strength(best)):
-            check_axes()  # the misfit exceeds the sensors' noise: their axes may be inconsistent
+        if near.converged and not brief and (not explained or level.magnetometer > 0.1 * strength(best)):
+            axes.check(recording)  # the misfit exceeds the sensors' noise: their axes may be inconsistent
         best = _adapted(samples, best, reject, short_term)
     else:
         begun = begin(chain, start[:PARAMETERS], free, patience)
@@ -177,7 +175,7 @@ def _without_skew(fit: Fit) -> Fit:
 
 def disturbed(fit: Fit) -> bool:
     """Return whether so many windows are down-weighted that shorter ones would lose fewer data."""
-    return bool(fit.weights.window.mean() < _UNDISTURBED)
+    return fit.trusted_share < _UNDISTURBED
 
 
 def shortened(window: float) -> float:
@@ -231,9 +229,9 @@ def _reintegrated(samples: Preintegration, fit: Fit) -> Fit:
 def moved(fit: Fit) -> bool:
     """Return whether bias or delay are so far from the point of integration that second-order terms matter."""
     windows, parameters = fit.chain.windows, fit.state.parameters
-    turned = np.einsum("ijn,j->in", windows.lever, parameters[9:12] - windows.bias)[:, windows.linked]
-    slid = windows.rotation_rate * (parameters[DELAY] - windows.delay)
-    return bool(np.abs(turned).max(initial=0.0) > _MOVED or np.abs(slid).max() > _MOVED)
+    turned = np.abs((parameters[9:12] - windows.bias) @ windows.lever) * windows.linked
+    slid = np.abs(windows.rotation_rate).max() * abs(parameters[DELAY] - windows.delay)
+    return bool(turned.max() > _MOVED or slid > _MOVED)
 
 
 def _upright(fit: Fit) -> Fit:

@@ -140,10 +140,11 @@ class SkewPosterior(NamedTuple):
         known, axes = eigenvectors(profile.information)
         known, pull = np.maximum(known, 0.0), profile.pull @ axes
         before = np.square(prior.deviations)[:, None]
-        variance = before / (1 + before * known)
+        told = before * known
+        variance = before / (1 + told)
         angle = variance * pull
-        nats, kept = 0.5 * pull * angle - 0.5 * np.log1p(before * known), known > prior.resolved**-2
-        seen = nats[:, kept].sum(axis=1)
+        nats, kept = 0.5 * (pull * angle - np.log1p(told)), known > prior.resolved**-2
+        seen = nats @ kept
         decisive = _normalised(prior.cautious, seen)
         probability = float(decisive[before[:, 0] > 0].sum())
         share = _normalised(np.array(prior.weights), nats.sum(axis=1))

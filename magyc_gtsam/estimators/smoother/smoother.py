@@ -241,7 +241,7 @@ def calibration_of(
             "windows": len(fit.chain.windows),
             "iterations": fit.iterations,
             "cost": fit.reduced.cost,
-            "trusted_share": float(fit.weights.window.mean()),
+            "trusted_share": fit.trusted_share,
             "colour": colour,
             "widening": fit.widening,
             "disturbed": _disturbed(fit),

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtri
 
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.factors.chain import compiled
@@ -17,6 +16,7 @@ from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.small import inverse_root
 
 ROUNDING = 1e-12  # ridge added to the information, as a share of the column's squared norm; rounding is 1e-15
 _BIAS = np.arange(9, 12)
@@ -38,6 +38,11 @@ class Minimum:
     reduced: Reduced
     free: np.ndarray
     terms: EstimatedTerms | None = None
+
+    @cached_property
+    def trusted_share(self) -> float:
+        """The mean weight of the windows."""
+        return float(self.weights.window.mean())
 
     @cached_property
     def residuals(self) -> Residuals:
@@ -102,11 +107,10 @@ class Estimated:
         information = self.information if free.all() else self.information[np.ix_(free, free)]
         scaled = information * scale * scale[:, None]
         scaled.flat[:: len(scale) + 1] += ROUNDING
-        root, failed = dpotrf(scaled, lower=1)
-        if failed:
+        root = inverse_root(scaled)
+        if root is None:
             raise np.linalg.LinAlgError("Matrix is not positive definite")
-        result: Array = dtrtri(root, lower=1)[0]
-        return result
+        return root
 
 
 class WhitenedResidual(NamedTuple):
@@ -231,18 +235,8 @@ class WhitenedFit:
         count, n = columns.size, len(self.fit.chain.windows)
         window, link = (None if part is None else np.empty((count, part[0].size)) for part in columns[:2])
         absorbed = np.empty((count, 2 * n))
-        scale, link_scale, *jacobians = self._whitening
-        compiled.loops.whiten(
-            n,
-            compiled.given(columns.window),
-            scale,
-            compiled.given(columns.link),
-            link_scale,
-            *jacobians,
-            compiled.given(window),
-            compiled.given(link),
-            absorbed,
-        )
+        inputs = columns.window, columns.link, *self._whitening, window, link
+        compiled.loops.whiten(n, *map(compiled.given, inputs), absorbed)
         return window, link, absorbed
 
     @cached_property
