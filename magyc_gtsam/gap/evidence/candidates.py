@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -40,6 +41,14 @@ class Batch:
     names: tuple[str, ...]
     settings: tuple[Setting, ...]
     prior: Array
+
+    @cached_property
+    def places(self) -> dict[str, np.ndarray]:
+        """Return {name: the places (s,) of its settings in the batch}."""
+        result: dict[str, list[int]] = {}
+        for place, name in enumerate(self.names):
+            result.setdefault(name, []).append(place)
+        return {name: np.array(places) for name, places in result.items()}
 
     def only(self, kept: Sequence[int]) -> Batch:
         """Return some of the candidates."""

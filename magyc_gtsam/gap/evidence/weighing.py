@@ -17,7 +17,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.beside import LEAST, Beside, Seen
+from magyc_gtsam.gap.evidence.beside import LEAST, Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
 
@@ -97,21 +97,21 @@ class Weighed:
 
 
 class _Part(NamedTuple):
-    """A candidate at one setting.
+    """A candidate at s settings with equally many values.
 
     Attributes:
-        log, power: (S,) nats and powers.
-        contained: see `Weighed`.
-        setting: the setting.
-        prior: its log prior.
-        information, score: (k, k) and (k,) of the values.
+        log, power: (s, S) nats with the log prior, and powers.
+        contained: (s,) see `Weighed`.
+        settings: the settings.
+        prior: (s,) their log priors.
+        information, score: (s, k, k) and (s, k) of the values.
     """
 
     log: Array
     power: Array
-    contained: float
-    setting: Setting
-    prior: float
+    contained: Array
+    settings: Sequence[Setting]
+    prior: Array
     information: Array
     score: Array
 
@@ -121,43 +121,37 @@ def weigh(candidates: Candidates, beside: Beside) -> dict[str, Weighed]:
     if not candidates.batches:
         return {}
     seen = beside.see(candidates.columns, candidates.score_bias)
-    shared = _Shared.of(beside, seen)
+    # Products of the columns with the signal of the model's effects, beside the rest of the model.
+    across = seen.on_signal - seen.reach[:, : beside.before] @ beside.reach_of_signal
     parts: dict[str, list[_Part]] = {}
     for batch in candidates.batches:
-        information, score = information_of(batch, beside.noise, seen.reach), seen.score[batch.rows]
-        log, powers = _by_scale(batch, information, score)
-        contained = shared.contained(batch, beside.noise)
-        for i, name in enumerate(batch.names):
-            prior = float(batch.prior[i])
-            at = batch.settings[i], prior, information[i], score[i]
-            parts.setdefault(name, []).append(_Part(log[i] + prior, powers[i], contained[i], *at))
+        reach, score = seen.reach[batch.rows], seen.score[batch.rows]
+        rest, effects = reach[..., : beside.before], reach[..., beside.before :]
+        gram = batch.gram / beside.noise**2
+        beside_rest = gram - rest @ rest.swapaxes(1, 2)
+        contained = _contained(beside_rest, gram, across[batch.rows])
+        information = beside_rest - effects @ effects.swapaxes(1, 2)
+        log, power = _by_scale(batch, information, score)
+        log += batch.prior[:, None]
+        for name, at in batch.places.items():
+            settings = [batch.settings[i] for i in at]
+            own = _Part(log[at], power[at], contained[at], settings, batch.prior[at], information[at], score[at])
+            parts.setdefault(name, []).append(own)
     return {name: _averaged(name, many) for name, many in parts.items()}
 
 
-class _Shared(NamedTuple):
-    """What candidates have in common with the signal of a model's effects, beside the rest of the model.
+def _contained(information: Array, gram: Array, across: Array) -> Array:
+    """Return the power (B,) of the part of a signal that each candidate could explain.
 
-    Attributes:
-        reach: (N, m) of the candidates' columns into the rest of the model.
-        across: (N,) their products with the signal.
+    Args:
+        information: (B, k, k) of the candidates.
+        gram: (B, k, k) the same without a model.
+        across: (B, k) products of their columns with the signal.
     """
-
-    reach: Array
-    across: Array
-
-    @classmethod
-    def of(cls, beside: Beside, seen: Seen) -> _Shared:
-        reach = seen.reach[:, : beside.before]
-        return cls(reach, seen.on_signal - reach @ beside.reach_of_signal)
-
-    def contained(self, batch: Batch, noise: float) -> Array:
-        """Return the power (B,) of the part of the signal that each candidate could explain."""
-        own, across = self.reach[batch.rows], self.across[batch.rows]
-        gram = batch.gram / noise**2
-        rounding = _ROUNDING * np.trace(gram, axis1=1, axis2=2) + np.finfo(float).tiny
-        information = gram - own @ own.swapaxes(1, 2) + rounding[:, None, None] * np.eye(own.shape[1])
-        result: Array = (across * np.linalg.solve(information, across[..., None])[..., 0]).sum(axis=1)
-        return result
+    rounding = _ROUNDING * np.trace(gram, axis1=1, axis2=2) + np.finfo(float).tiny
+    regular = information + rounding[:, None, None] * np.eye(across.shape[1])
+    result: Array = (across * np.linalg.solve(regular, across[..., None])[..., 0]).sum(axis=1)
+    return result
 
 
 def information_of(batch: Batch, noise: float, reach: Array) -> Array:
@@ -205,29 +199,32 @@ def scales_of(name: str) -> np.ndarray:
     return PRIOR.scales <= max(PRIOR.beyond * TERMS[name].limit / TERMS[name].matters, PRIOR.scales[0])
 
 
-def _averaged(name: str, many: list[_Part]) -> Weighed:
-    log = np.array([each.log for each in many])
+def _averaged(name: str, many: Sequence[_Part]) -> Weighed:
+    log, power, contained, prior = (
+        np.concatenate([getattr(part, what) for part in many]) for what in ("log", "power", "contained", "prior")
+    )
+    settings, information, score = (
+        [one for part in many for one in getattr(part, what)] for what in ("settings", "information", "score")
+    )
     by_scale = np.logaddexp.reduce(log, axis=0)
     weight = np.exp(log - np.where(np.isfinite(by_scale), by_scale, 0.0))
-    power = (weight * np.array([each.power for each in many])).sum(axis=0)
     of_setting = np.logaddexp.reduce(log, axis=1)
     # The settings are equally probable; the most probable one given the data is fitted.
     best = int(np.argmax(of_setting))
     scales = float(np.log(len(PRIOR.scales)))
     total = float(np.logaddexp.reduce(by_scale)) - scales
-    search = float(of_setting[best]) - many[best].prior - scales - total
     return Weighed(
         name,
         total,
         by_scale - scales,
-        power,
-        many[best].setting,
-        search,
-        many[best].contained,
-        many[best].prior,
-        many[best].information,
-        many[best].score,
-        tuple((each.prior, each.information) for each in many),
+        (weight * power).sum(axis=0),
+        settings[best],
+        float(of_setting[best] - prior[best]) - scales - total,
+        float(contained[best]),
+        float(prior[best]),
+        information[best],
+        score[best],
+        tuple(zip(prior.tolist(), information, strict=True)),
     )
 
 
