@@ -167,14 +167,13 @@ class Beside:
     def see(self, columns: Array, score_bias: Array) -> Seen:
         """Return what columns (N, 3n) with score bias (N,) have in common with the model."""
         known = len(self._rest)
-        found = np.empty((len(columns), known + len(self._effects)))
-        np.matmul(columns, self._rest.T, out=found[:, :known])
-        np.matmul(columns, self._effects.T, out=found[:, known:])
-        found /= self.noise
-        on_signal = found[:, known:] @ self._mean[self.before :]
-        found = dtrsm(1.0, self._upper, found.T, trans_a=1, overwrite_b=1).T if len(columns) else found
-        reach = found[:, 1:]
-        return Seen(reach, found[:, 0] - reach @ self._solved - score_bias / self.noise**2, on_signal)
+        found = np.empty((known + len(self._effects), len(columns)))  # a tenth faster than its transpose
+        np.matmul(self._rest, columns.T, out=found[:known])
+        np.matmul(self._effects, columns.T, out=found[known:])
+        on_signal = self._mean[self.before :] @ found[known:] / self.noise
+        seen = dtrsm(1 / self.noise, self._upper, found.T, side=1, overwrite_b=1) if len(columns) else found.T
+        reach = seen[:, 1:]
+        return Seen(reach, seen[:, 0] - reach @ self._solved - score_bias / self.noise**2, on_signal)
 
     @cached_property
     def _upper(self) -> Array:
