@@ -46,6 +46,8 @@ def inverse_root(matrix: Array) -> Array | None:
 
     The inverse of the matrix is its transpose times itself.
     """
+    if not len(matrix):
+        return matrix  # LAPACK prints an error of it
     root, failed = dpotrf(matrix, lower=1)
     return None if failed else np.asarray(dtrtri(root, lower=1)[0])
 
