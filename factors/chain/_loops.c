@@ -159,25 +159,6 @@ static double turn(size n, Arrays *a)
 }
 TO_PYTHON(turn, 3, 1)
 
-/* window, link, window_scale, link_scale, on_direction, before, after, factor, inverse; white_window, white_link,
-   absorbed */
-static double whiten(size n, Arrays *a)
-{
-    int64_t count = entries(a, 11) / (2 * n);
-    double *room_of_places = room(a, 2 * (size)count);
-    if (!room_of_places)
-        return 0.0;
-    const double **of_window = (const double **)room_of_places, **of_link = of_window + count;
-    of_window = places(a, 0, 1, &count, 3 * n, of_window);
-    of_link = places(a, 1, 1, &count, 3 * (n - 1), of_link);
-    Columns k = whitening(n, entries(a, 2) > n, of_window, of_link, a->at + 2, a->at[9], a->at[10], a->at[11]);
-    for (size own = 0; own < (size)count; own += TOGETHER)
-        whiten_together(&k, own, LEAST(TOGETHER, (size)count - own));
-    PyMem_RawFree(room_of_places);
-    return 0.0;
-}
-TO_PYTHON(whiten, 12, 3)
-
 /* factor, inverse, on_direction, before, after, half (k, 2n); window (k, 3, n), link (k, 3, n − 1): rows, less what the
    directions explain of them by L⁻¹ of their products with these */
 static double beside_directions(size n, Arrays *a)
@@ -193,51 +174,6 @@ static double beside_directions(size n, Arrays *a)
     return 0.0;
 }
 TO_PYTHON(beside_directions, 8, 2)
-
-/* The windows of each group, the links of each group; as `whiten` from window_scale to inverse, axis (K,) of int64 or
-   none, of_window, of_link, rounding (1,), count (groups,) of int64; products, normal: those of the columns with the rows
-   (rows, 3n) of_window and (rows, 3n − 3) of_link, and the information of each group. With an axis each the columns of the
-   windows are (·, n). */
-static double score(size n, Arrays *a)
-{
-    int fit = a->count - 14; /* the number of the first array after those of the groups */
-    double **at = a->at + fit;
-    const int64_t *on = (const int64_t *)at[7], *count = (const int64_t *)at[11];
-    size groups = fit / 2, rows = entries(a, fit + 8) / (3 * n), all = entries(a, fit + 12) / rows;
-    size together = LEAST(TOGETHER, all), window = a->at[0] ? (on ? n : 3 * n) : 0;
-    size link = a->at[groups] ? 3 * (n - 1) : 0;
-    for (size g = 0; g < groups; g++)
-        if (count[g] > together)
-            together = (size)count[g];
-    double *white = room(a, together * (window + link + 2 * n + 3) + 2 * all);
-    if (!white)
-        return 0.0;
-    double *white_link = white + window * together, *half = white_link + link * together;
-    size *place = (size *)(half + 2 * n * together);
-    const double **of_window = (const double **)(place + 3 * together), **of_link = of_window + all;
-    of_window = places(a, 0, groups, count, window, of_window);
-    of_link = places(a, (int)groups, groups, count, link, of_link);
-    Fit f = {.columns = whitening(n, entries(a, fit) > n, of_window, of_link, at, white, white_link, half),
-             .rows = rows, .of_window = at[8], .of_link = at[9],
-             .place = {place, place + together, place + 2 * together}};
-    f.columns.on = on;
-    double *normal = at[13];
-    for (size g = 0, own = 0; g < groups;) {
-        size stop = g, some = 0;
-        while (stop < groups && some + (size)count[stop] <= together)
-            some += (size)count[stop++];
-        products_of(&f, own, some, all, at[12]);
-        for (size first = 0; g < stop; first += (size)count[g++]) {
-            size k = (size)count[g];
-            information(&f, first, k, at[12] + own + first, all, at[10][0], normal);
-            normal += k * k;
-        }
-        own += some;
-    }
-    PyMem_RawFree(white);
-    return 0.0;
-}
-TO_PYTHON_MANY(score, 14, 2)
 
 /* vector (3, n); p, q */
 static double chain(size n, Arrays *a)

@@ -164,9 +164,10 @@ def _steps(reading: Array, rules: BitRules) -> list[float]:
 
     Equal readings may differ by rounding.
     """
-    change = np.diff(np.sort(reading))
-    real = change > rules.whole * change.mean(axis=1, keepdims=True)
-    step = change.min(axis=1, where=real, initial=np.inf)  # infinite if there is no change
+    ordered = np.sort(reading)
+    change = ordered[:, 1:] - ordered[:, :-1]
+    mean = (ordered[:, -1:] - ordered[:, :1]) / change.shape[1]
+    step = np.where(change > rules.whole * mean, change, np.inf).min(axis=1)  # infinite if there is no change
     steps = (reading - reading[:, :1]) / step[:, None]
     whole = np.abs(steps - np.rint(steps)).max(axis=1) < rules.whole
     found: list[float] = np.where(whole & np.isfinite(step), step, 0.0).tolist()

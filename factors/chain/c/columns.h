@@ -55,7 +55,7 @@ WIDE_VECTORS static void of_axis(size first, size stop, in_t x, in_t scale, in_t
 
 typedef struct {
     size n, axis;
-    const int64_t *on; /* the axis of the windows of each column, (k,), or NULL if they are on all */
+    const size *on; /* the axis of the windows of each column, or NULL if they are on all */
     const double *const *window, *const *link; /* where those of each column are, or NULL if no column has any */
     const double *window_scale, *link_scale, *on_direction, *before, *after, *factor, *inverse;
     double *white_window, *white_link, *absorbed;
@@ -89,7 +89,7 @@ static void whiten_stretch(const Columns *k, size c, size first, size stop, doub
 {
     size n = k->n, m = n - 1;
     if (k->on) {
-        size i = (size)k->on[c];
+        size i = k->on[c];
         const double *j = k->on_direction + 2 * i * n;
         of_axis(first, stop, k->window[c], k->window_scale + i * k->axis, j, j + n, k->white_window + n * c, b,
                 b + STRETCH);
@@ -147,7 +147,7 @@ static void products_of(Fit *f, size own, size some, size all, double *products)
     for (size i = 0; part.on && i < 3; i++) {
         f->count[i] = 0;
         for (size c = 0; c < some; c++)
-            if ((size)part.on[c] == i)
+            if (part.on[c] == i)
                 f->place[i][f->count[i]++] = c;
         Rows rows = {f->of_window + i * n, 3 * n, f->rows, NULL, 0};
         Rows columns = {k->white_window, n, f->count[i], f->place[i], 0};
@@ -198,5 +198,73 @@ static void information(const Fit *f, size first, size k, const double *explaine
         }
     }
 }
+
+/* window, link, window_scale, link_scale, on_direction, before, after, factor, inverse; white_window, white_link,
+   absorbed */
+static double whiten(size n, Arrays *a)
+{
+    int64_t count = entries(a, 11) / (2 * n);
+    double *room_of_places = room(a, 2 * (size)count);
+    if (!room_of_places)
+        return 0.0;
+    const double **of_window = (const double **)room_of_places, **of_link = of_window + count;
+    of_window = places(a, 0, 1, &count, 3 * n, of_window);
+    of_link = places(a, 1, 1, &count, 3 * (n - 1), of_link);
+    Columns k = whitening(n, entries(a, 2) > n, of_window, of_link, a->at + 2, a->at[9], a->at[10], a->at[11]);
+    for (size own = 0; own < (size)count; own += TOGETHER)
+        whiten_together(&k, own, LEAST(TOGETHER, (size)count - own));
+    PyMem_RawFree(room_of_places);
+    return 0.0;
+}
+TO_PYTHON(whiten, 12, 3)
+
+/* The windows of each group, the links of each group; as `whiten` from window_scale to inverse, of_window, of_link,
+   rounding (1,), count (groups,) of int64; products, normal: those of the columns with the rows (rows, 3n) of_window and
+   (rows, 3n − 3) of_link, and the information of each group. Windows that have fewer than 3n entries for each column are
+   rows of n for one axis each, x, y, z, x, … */
+static double score(size n, Arrays *a)
+{
+    int fit = a->count - 13; /* the number of the first array after those of the groups */
+    double **at = a->at + fit;
+    const int64_t *count = (const int64_t *)at[10];
+    size groups = fit / 2, rows = entries(a, fit + 7) / (3 * n), all = entries(a, fit + 11) / rows;
+    int on_one_axis = a->at[0] && entries(a, 0) < 3 * n * (size)count[0];
+    size together = LEAST(TOGETHER, all), window = a->at[0] ? (on_one_axis ? n : 3 * n) : 0;
+    size link = a->at[groups] ? 3 * (n - 1) : 0;
+    for (size g = 0; g < groups; g++)
+        if (count[g] > together)
+            together = (size)count[g];
+    double *white = room(a, together * (window + link + 2 * n + 3) + 3 * all);
+    if (!white)
+        return 0.0;
+    double *white_link = white + window * together, *half = white_link + link * together;
+    size *place = (size *)(half + 2 * n * together), *axis = place + 3 * together;
+    const double **of_window = (const double **)(axis + all), **of_link = of_window + all;
+    of_window = places(a, 0, groups, count, window, of_window);
+    of_link = places(a, (int)groups, groups, count, link, of_link);
+    for (size g = 0, own = 0; g < groups; own += (size)count[g++])
+        for (size c = 0; c < (size)count[g]; c++)
+            axis[own + c] = c % 3;
+    Fit f = {.columns = whitening(n, entries(a, fit) > n, of_window, of_link, at, white, white_link, half),
+             .rows = rows, .of_window = at[7], .of_link = at[8],
+             .place = {place, place + together, place + 2 * together}};
+    f.columns.on = on_one_axis ? axis : NULL;
+    double *normal = at[12];
+    for (size g = 0, own = 0; g < groups;) {
+        size stop = g, some = 0;
+        while (stop < groups && some + (size)count[stop] <= together)
+            some += (size)count[stop++];
+        products_of(&f, own, some, all, at[11]);
+        for (size first = 0; g < stop; first += (size)count[g++]) {
+            size k = (size)count[g];
+            information(&f, first, k, at[11] + own + first, all, at[9][0], normal);
+            normal += k * k;
+        }
+        own += some;
+    }
+    PyMem_RawFree(white);
+    return 0.0;
+}
+TO_PYTHON_MANY(score, 13, 2)
 
 #endif

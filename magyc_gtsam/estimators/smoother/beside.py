@@ -27,7 +27,7 @@ from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.rotations import Array
 
 # Columns times windows that go through the elimination together: few calls, and the working set stays in the cache.
-_TOGETHER = 1 << 15
+_TOGETHER = 1 << 16
 
 Make = Callable[[], UnmodelledColumns]
 
@@ -78,7 +78,7 @@ class ColumnProducts(WhitenedFit):
         most = _TOGETHER // len(self.fit.chain.windows)
         for i, make in enumerate(groups):
             group = make()
-            sensors = group.window is None, group.link is None, group.axis is None
+            sensors = group.window is None, group.link is None, group.per_row > 0
             waiting.setdefault(sensors, {})[i] = group
             count[sensors] = count.get(sensors, 0) + group.size
             if count[sensors] > most:
@@ -104,13 +104,11 @@ class ColumnProducts(WhitenedFit):
         ends = list(accumulate(size * size for size in sizes))
         of_window, of_link = self._onto
         products, normal = np.empty((len(of_window), sum(sizes))), np.empty(ends[-1])
-        axes = [group.axis for group in groups if group.axis is not None]
         compiled.loops.score(
             len(self.fit.chain.windows),
             *(compiled.given(group.window) for group in groups),
             *(compiled.given(group.link) for group in groups),
             *self._whitening,
-            np.concatenate(axes) if axes else compiled.NONE,
             of_window,
             of_link,
             np.array([ROUNDING]),

@@ -71,7 +71,9 @@ class Fit(Minimum):
     def beside(self) -> ColumnProducts:
         """The products of unmodelled columns with this fit at its minimum."""
         # The copy avoids a reference cycle, which would keep both alive until the garbage collector runs.
-        return ColumnProducts(copy.copy(self))
+        own = copy.copy(self)
+        own.__dict__["residuals"] = self.residuals  # computed once for both
+        return ColumnProducts(own)
 
     @cached_property
     def covariance(self) -> Array:
@@ -209,7 +211,7 @@ def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Arr
     information = reduced.information if every else reduced.information[np.ix_(free, free)]
     gradient = reduced.gradient if every else reduced.gradient[free]
     known = information.diagonal()
-    scale = np.divide(1.0, np.sqrt(np.maximum(known, 0.0)), out=np.zeros(len(known)), where=known > 0)
+    scale = np.power(known, -0.5, out=np.zeros(len(known)), where=known > 0)
     scaled = information * scale * scale[:, None]
     scaled.flat[:: len(scale) + 1] += damping + 1e-14
     short = -scale * solved(scaled, scale * gradient)

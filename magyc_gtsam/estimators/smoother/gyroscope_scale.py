@@ -155,7 +155,8 @@ def _columns(recording: Recording, fit: Fit, options: SmootherOptions) -> Unmode
     for axis in np.eye(3):  # one after the other, since a long log has millions of samples
         error = (axis[:, None] * rate)[None]
         columns.append(derivatives.columns(windows, soft_iron, fit.state.direction, error))
-    return UnmodelledColumns(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
+    window, link = (np.concatenate(parts) for parts in zip(*(each[:2] for each in columns), strict=True))
+    return UnmodelledColumns(window, link)
 
 
 def _noise_shrunk(fit: Fit) -> Array:

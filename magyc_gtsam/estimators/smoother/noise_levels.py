@@ -158,7 +158,7 @@ def squares_and_redundancies(fit: Fit, squares: tuple[Array, Array]) -> tuple[Ar
     unknowns = float(2 * len(chain.windows) + fit.free.sum())
     if chain.facts:  # prior knowledge uses up no redundancy of the data
         unknowns -= float(np.sum(fit.covariance * quadratic(chain.facts, fit.state.parameters)[2]))
-    links = 2 * weights.link[chain.windows.linked].sum()
+    links = 2 * weights.link @ chain.windows.linked
     return (
         np.array([weights.window @ window, weights.link @ link]),
         np.array([3 * weights.window.sum() - absorbed, links - (unknowns - absorbed)]),

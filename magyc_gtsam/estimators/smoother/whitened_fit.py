@@ -94,9 +94,8 @@ class Estimated:
 
     @cached_property
     def _scale(self) -> Array:
-        """(free,) inverse norm of each parameter's column."""
-        square = np.maximum(np.einsum("pin,pin->p", self.window, self.window), np.diag(self.information))
-        square[self.linked] += np.einsum("km,km->k", self.link, self.link)
+        """(free,) inverse norm of each parameter's column, with its priors."""
+        square = self.information.diagonal() + np.einsum("pm,pm->p", self.half, self.half)
         result: Array = 1 / np.sqrt(np.maximum(square[self.free], 1e-300))
         return result
 
@@ -135,7 +134,7 @@ class WhitenedFit:
     def freedom(self) -> float:
         """Degrees of freedom of the residual; windows and links count by their robust weights."""
         fit, terms = self.fit, self.fit.terms
-        rows = fit.weights.window.sum() * 3 + fit.weights.link[fit.chain.windows.linked].sum() * 2
+        rows = fit.weights.window.sum() * 3 + fit.weights.link @ fit.chain.windows.linked * 2
         rows += sum(len(fact.residual(fit.state.parameters)[0]) for fact in fit.chain.facts)
         rows += 0 if terms is None else terms.columns.size
         return float(max(rows - 2 * len(fit.chain.windows) - self.estimated.free.sum(), 1.0))
