@@ -96,6 +96,21 @@ def test_only_sets_that_are_kept_are_looked_at(monkeypatch: pytest.MonkeyPatch) 
     assert len(looks) == len(tree.nodes)
 
 
+def test_a_set_that_no_candidate_makes_probable_is_not_looked_at() -> None:
+    """A candidate explains no more than what the set leaves."""
+    tree = completed(base_of(drifting()), (DRIFT, "timing"))
+    assert all(each.log <= node.most for node in tree.nodes.values() for each in node.found.values())
+    near, far = (
+        replace(tree.nodes[(DRIFT,)], names=("cubic",), log=tree.best.log - tree.nodes[(DRIFT,)].most - nats)
+        for nats in (0.0, PRIOR.certain)
+    )
+    for node, looked in ((far, False), (near, True)):
+        tree.nodes[node.key] = node
+        tree._deepened()
+        assert tree.outline
+        assert ("_look" in node.__dict__) == looked
+
+
 def test_a_set_without_a_fit_is_not_fitted_with_other_numbers_of_modes(monkeypatch: pytest.MonkeyPatch) -> None:
     tree = completed(base_of(drifting()), (DRIFT, "timing"))
     node = tree.nodes[(DRIFT,)]

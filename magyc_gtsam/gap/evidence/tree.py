@@ -96,11 +96,8 @@ class Tree:
     def outline(self) -> Outline:
         """Return what is taken over: the sets of effects that are probable, alone or with a candidate more."""
         least = self.best.log - PRIOR.certain
-        likely = [
-            node
-            for node in self.nodes.values()
-            if node.names and node.log + max([0.0, *(each.log for each in node.found.values())]) > least
-        ]
+        possible = [node for node in self.nodes.values() if node.names and node.log + node.most > least]
+        likely = [node for node in possible if node.log + node.more > least]
         near = tuple((node.names, node.fit.model, node.search) for node in likely)
         return Outline(near, frozenset(self.refused), frozenset(self._unrivalled))
 
@@ -172,8 +169,10 @@ class Tree:
         best = self.best
         parents = {name: self.nodes.get(best.key_without(name)) for name in best.names}
         for node in [each for each in self.nodes.values() if len(each.fit.model.terms) < PRIOR.depth]:
-            added = [each for each in node.found.values() if node.key_with(each.name) == best.key]
             beside = {name for name, one in parents.items() if one is not None and _as_probable(node, one)}
+            if not beside and not best.has_one_more_than(node) and node.log + node.most < best.log:
+                continue
+            added = [each for each in node.found.values() if node.key_with(each.name) == best.key]
             for option in self._options(node):
                 ahead = node is best or node.log + option.log + PRIOR.named > best.log
                 alike = any(option.log > other.log - PRIOR.alike for other in added)
