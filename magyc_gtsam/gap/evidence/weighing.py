@@ -21,6 +21,7 @@ from magyc_gtsam.gap.evidence.beside import LEAST, Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
 
+JUMP = "hard-iron-step"
 _ROUNDING = 1e-9  # of the squared columns: what is left of them beside a model is rounding if it is smaller
 
 
@@ -210,7 +211,7 @@ def _averaged(name: str, many: Sequence[_Part]) -> Weighed:
     weight = np.exp(log - np.where(np.isfinite(by_scale), by_scale, 0.0))
     of_setting = np.logaddexp.reduce(log, axis=1)
     # The settings are equally probable; the most probable one given the data is fitted.
-    best = int(np.argmax(of_setting))
+    best = int(np.argmax(of_setting - _second_jump(name, settings)))
     scales = float(np.log(len(PRIOR.scales)))
     total = float(np.logaddexp.reduce(by_scale)) - scales
     return Weighed(
@@ -226,6 +227,18 @@ def _averaged(name: str, many: Sequence[_Part]) -> Weighed:
         score[best],
         tuple(zip(prior.tolist(), information, strict=True)),
     )
+
+
+def _second_jump(name: str, settings: Sequence[Setting]) -> Array:
+    """Return the nats (s,) that the second jump of each setting of a jump has to explain, 0 for one with one jump.
+
+    Two jumps are named as two, so that the second one has to be as probable as a name, and its time was searched: the
+    best of many explains some noise.
+    """
+    two = np.array([name == JUMP and {"time", "until"} <= setting.keys() for setting in settings])
+    ends = len({setting["until"] for setting, pair in zip(settings, two, strict=True) if pair})
+    result: Array = two * np.log(max(ends, 1) * PRIOR.named_from / (1 - PRIOR.named_from))
+    return result
 
 
 def best_of(weighed: Mapping[str, Weighed], count: int) -> list[Weighed]:
