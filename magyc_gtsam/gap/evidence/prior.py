@@ -35,7 +35,7 @@ class Prior:
         form: share of the power of an effect's signal by which it may deviate from its form. No real effect has its
             catalogue form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy). Of the varying
             field, too.
-        form_of_colour: the same of the names' signal for correlated noise beside a varying field, two fifths in amplitude:
+        form_of_colour: the same of the names' signal for correlated noise beside a varying field, two fifths in size:
             it has a hundred columns and more. Noise put into real logs has 0.33 to 5 (17 logs of editions 390, 400 and
             402), noise that is not there 0.09 to 0.16 (five).
         in_place_of_field: least power of a fitted name in place of the varying field, relative to it. Functions of time
