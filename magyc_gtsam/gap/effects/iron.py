@@ -97,7 +97,11 @@ def _jumps(twin: Twin) -> list[dict[str, float]]:
 
 
 def _jumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    return step_nearby(twin, setting, _ENDS if "until" in setting else _STEPS)
+    """Return jumps near the found one; of two, each alone as well: its time may lie between those of single jumps."""
+    if "until" not in setting:
+        return step_nearby(twin, setting, _STEPS)
+    alone = [{"time": setting[end]} for end in ("time", "until")]
+    return [*step_nearby(twin, setting, _ENDS), *alone]
 
 
 def step_nearby(
