@@ -36,8 +36,8 @@ class Prior:
             catalogue form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy). Of the varying
             field, too.
         form_of_colour: the same of the names' signal for correlated noise beside a varying field, two fifths in size:
-            it has a hundred columns and more. Noise put into real logs has 0.33 to 5 (17 logs of editions 390, 400 and
-            402), noise that is not there 0.09 to 0.16 (five).
+            it has a hundred columns and more. Noise put into 18 real logs (editions 331, 390, 400 and 402) has 0.33 to
+            5, and once 0.12; noise that is not there has 0.09 to 0.16 in four.
         in_place_of_field: least power of a fitted name in place of the varying field, relative to it. Functions of time
             and attitude can explain most of what an effect does, and then little remains for the effect beside them;
             in their place it explains as much as a third of what varies.
