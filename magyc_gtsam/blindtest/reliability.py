@@ -23,7 +23,7 @@ _EDGES = (
     0.95,
     0.98,
     1.0,
-)  # the last two are near the largest probability that is stated of a name, 0.985
+)  # the last two are near the largest probability that is stated of a name, 0.995
 _LEAST = 1e-6  # smallest probability in the log score
 # Sets with a definite truth; without a channel another name may be fair.
 _SETS = ("none", "single", "pair", "foreign", "real")

@@ -48,7 +48,7 @@ class Effect:
         applied: whether `gap.calibration` corrects the effect.
         sentence: one line for a navigator.
         probability: posterior probability that the effect is present, from the evidence of all sets of effects. It is
-            at most 0.985, because the true cause may be outside all sets.
+            at most 0.995, because the true cause may be outside all sets.
     """
 
     name: str
