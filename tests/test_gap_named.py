@@ -121,6 +121,9 @@ def test_rivals_are_named_together(looked: Looked) -> None:
     apart = gap_by(looked, {(("timing",), False): 0.5, (("cubic",), False): 0.45, ((), True): 0.05})
     assert not apart.names  # the two are not confused with each other
     assert apart.verdict == "unknown"
+    parts = {names: 0.25 for names in ((), ("timing",), ("eddy-plane",), ("eddy-plane", "timing"))}
+    beside = gap_by(looked, {(names, True): share for names, share in parts.items()} | {(("timing",), False): 0.1})
+    assert not beside.names  # each may be a part of what is unknown, independently of the other
 
 
 def test_the_variation_of_the_field_is_named_by_its_own_probability(

@@ -126,16 +126,18 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
 def _probable(posterior: Mapping[Set, float], stated: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
     """Return {effect that is named: its rivals}, the most probable first.
 
-    Of an effect and its rivals that are probable together only, the most probable one is named.
+    Of an effect and its rivals that are probable together only, the most probable one is named; but not beside
+    something unknown, since each may be a part of it.
     """
     result: dict[str, tuple[str, ...]] = {}
+    known = stated.get(UNKNOWN, 0.0) <= PRIOR.missing_from
     for name in (name for name in stated if name in TERMS):
         others = [one for one in stated if one in TERMS and related(name, one) and one != name]
         rivals = tuple(one for one in others if _in_place_of(posterior, name, one))
         together = _any_of(posterior, {name, *rivals})
         said = {one for first, more in result.items() for one in (first, *more)}
         most = said.isdisjoint({name, *rivals}) and all(stated[name] >= stated[one] for one in rivals)
-        if stated[name] > PRIOR.named_from or (most and together > PRIOR.named_from):
+        if stated[name] > PRIOR.named_from or (known and most and together > PRIOR.named_from):
             result[name] = rivals
     return result
 
