@@ -193,7 +193,7 @@ def test_a_delay_is_estimated_beside_what_is_named() -> None:
 
 
 def test_a_second_jump_is_named_if_it_is_as_probable_as_a_name() -> None:
-    """The best of many times at which it may have gone back explains some noise, five nats here."""
+    """The best of many times at which it may have gone back explains some noise: at 395 s here."""
     base = mg.simulate("wide", 400, seed=12).recording
     since = base.time[:, None] - base.time[0]
     size = np.array([1e-7, -3.6e-7, 1.5e-7])
