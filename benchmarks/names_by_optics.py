@@ -3,7 +3,7 @@
     python benchmarks/names_by_optics.py LOG_OR_FOLDER...
 
 Logs are MCAP with an optical attitude, or arrays (*.npz) as for `real_honesty.py`; BROAD is used while it moves.
-The optical attitude does not pass through the gyroscope: what it shows of the magnetometer's delay, of eddy currents
+The optical attitude is not derived from the gyroscope: what it shows of the magnetometer's delay, of eddy currents
 and of the gyroscope's scale is independent of what was named. Prints, of each recording and name, the values of
 `find_gap` and those by optics, in the same unit, and the mean square of their difference in joint standard deviations,
 one if both are right.

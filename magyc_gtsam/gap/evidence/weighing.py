@@ -21,7 +21,7 @@ from magyc_gtsam.gap.evidence.beside import LEAST, Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
 
-JUMP = "hard-iron-step"
+_JUMP = "hard-iron-step"
 _ROUNDING = 1e-9  # of the squared columns: what is left of them beside a model is rounding if it is smaller
 
 
@@ -235,7 +235,7 @@ def _second_jump(name: str, settings: Sequence[Setting]) -> Array:
     Two jumps are named as two, so that the second one has to be as probable as a name, and its time was searched: the
     best of many explains some noise.
     """
-    two = np.array([name == JUMP and {"time", "until"} <= setting.keys() for setting in settings])
+    two = np.array([name == _JUMP and {"time", "until"} <= setting.keys() for setting in settings])
     ends = len({setting["until"] for setting, pair in zip(settings, two, strict=True) if pair})
     result: Array = two * np.log(max(ends, 1) * PRIOR.named_from / (1 - PRIOR.named_from))
     return result
