@@ -88,6 +88,8 @@ def test_a_calibration_with_its_effects_closes_the_gap_again() -> None:
     clipped = replace(recording, magnetic_field=np.clip(recording.magnetic_field, -level, level))
     gap = mg.find_gap(clipped, candidates=BENDS)
     assert gap.names == ("saturation",)
+    (term,) = (each for each in gap.calibration.terms if each.name == "saturation")
+    assert dict(term.setting) == {"level": level, "fall": 0.0}  # where readings are cut off, and at once
     assert mg.find_gap(clipped, calibration=gap.calibration, candidates=BENDS).verdict == "none"
 
 

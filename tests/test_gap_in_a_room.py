@@ -9,7 +9,10 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
+from magyc_gtsam.blindtest.generator import generate
+from magyc_gtsam.blindtest.scenarios import Scenario, seed_of
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.reasons import MOST_UNEXPLAINED
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.laplace import Explained, Terms
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node
@@ -21,14 +24,14 @@ _NAMES = ("gyro-bias-step", "hysteresis", "eddy-plane")
 _PERIOD = 6.0  # s, over which the room's field is correlated
 
 
-def _in_a_room(seed: int, jump: float = 0.0) -> mg.Recording:
-    """A walk of 100 s, along which the field varies by 1.5 µT; the gyroscope's bias jumps by so much, rad/s."""
+def _in_a_room(seed: int, jump: float = 0.0, varies: float = 1.5e-6) -> mg.Recording:
+    """A walk of 100 s, along which the field varies by so much, T; the gyroscope's bias jumps by so much, rad/s."""
     recording = mg.simulate("wide", 100, rate=20, seed=seed, magnetometer_noise=0.2e-6).recording
     assert recording.attitude is not None
     assert recording.angular_rate is not None
     keeps = np.exp(-np.median(np.diff(recording.time)) / _PERIOD)
     noise = np.random.default_rng(seed).standard_normal((len(recording.time), 3))
-    place = 1.5e-6 * lfilter([np.sqrt(1 - keeps**2)], [1, -keeps], noise, axis=0)
+    place = varies * lfilter([np.sqrt(1 - keeps**2)], [1, -keeps], noise, axis=0)
     field = recording.magnetic_field + Rotation.from_quat(recording.attitude).inv().apply(place)
     after = (recording.time > recording.time[0] + 50)[:, None]
     rate = recording.angular_rate + jump * after * np.array([0.5, -0.5, 0.7])
@@ -69,3 +72,20 @@ def test_a_room_alone_has_no_name() -> None:
     for seed, jump in ((3, 0.0), (4, 0.0), (1, 0.03), (2, 0.03)):
         said = mg.find_gap(_in_a_room(seed, jump), candidates=_NAMES).probabilities
         assert not any(said.get(name, 0.0) > 0.5 for name in _NAMES)
+
+
+def test_beside_magnets_nothing_but_the_field_is_named() -> None:
+    """The field varies by a third of its strength: a part of that looks like any name."""
+    gap = mg.find_gap(_in_a_room(1, jump=0.06, varies=15e-6))
+    assert gap.names == (FIELD_VARIATION,)
+    assert gap.effects[0].setting["share"] > MOST_UNEXPLAINED
+    assert "more than 10% of its strength: effects beside it cannot be told; choose an interval" in gap.sentence
+    assert gap.verdict == "open"
+    assert not gap.calibration.trusted
+
+
+def test_what_varies_with_the_sensor_is_one_of_many_unknown_effects() -> None:
+    """Slow functions of time in the sensor's axes are correlated noise, too, which is a name."""
+    name = "single-wide-coloured-noise-x0.25-00"
+    made = generate(Scenario(name, "single", "wide", seed_of(name, 411), (("coloured-noise", 0.25),)))
+    assert mg.find_gap(made.recording).probabilities["coloured-noise"] > PRIOR.named_from

@@ -18,6 +18,9 @@ from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.rests import rate_at_rest
 from magyc_gtsam.gap.model.root import root
 from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.simulation import HARD_IRON
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.signals import record
 
 TABLE = np.array([1.2e-6, -2.1e-6, 1.8e-6])  # T, in the world's axes
 
@@ -44,6 +47,17 @@ def test_the_field_of_a_table_is_one_of_the_place(motion: str, seed: int) -> Non
     assert gap.calibration.trusted
     off = gap.calibration.hard_iron - truth.hard_iron
     assert off @ np.linalg.solve(gap.calibration.covariance[6:9, 6:9], off) < 16.3  # one of a thousand
+
+
+def test_a_stay_is_found_from_both_ends_of_the_rest() -> None:
+    """The field beside steel, for 40 % of the log, was taken for that of the place, and the hard iron 24 µT off."""
+    fault = FAULTS["stay-beside-steel"]
+    log = record("tiny", 35099, fault, fault.strong, "stay-beside-steel").recording("stay")
+    gap = mg.find_gap(log, candidates=["local-anomaly", "hard-iron-step", "timing"])
+    (stay,) = gap.effects
+    assert (stay.name, *stay.setting) == ("local-anomaly", "time", "until")
+    assert gap.calibration.trusted
+    assert np.abs(gap.calibration.hard_iron - HARD_IRON).max() < 2e-6
 
 
 def test_before_and_after_are_one_field() -> None:

@@ -16,7 +16,7 @@ from magyc_gtsam.recording import Recording
 
 # How the reasons begin that name no fault of the log.
 TOO_LITTLE_MOTION, NOT_CONVERGED = "too little motion", "no convergence"
-_MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
+MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
 _LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
 # Least duration, s, and number of windows that are rejected at the end of a log and may be a change for good
@@ -75,8 +75,8 @@ def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:
     reasons = []
     left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
     misfit = ""
-    if left > _MOST_UNEXPLAINED * field_strength:
-        misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field)"
+    if left > MOST_UNEXPLAINED * field_strength:
+        misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {MOST_UNEXPLAINED:.0%} of the field)"
     elif observable and not positive(fit):
         misfit = "only a soft iron that mirrors the field fits, which no instrument has"
     if misfit:

@@ -47,6 +47,9 @@ def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
     key, powers = node.present, node.powers
     form, (foreign, seen) = _families(tree, node, powers)
     known = float(np.logaddexp(node.log, node.log + form))
+    if node.disturbed:
+        yield SetWeight((FIELD_VARIATION,), known, 0.0)
+        return
     yield SetWeight(key, known, None, powers)
     if np.isfinite(foreign):
         yield SetWeight(key, node.log + PRIOR.unknown + foreign, seen, powers)
@@ -70,7 +73,7 @@ def _with_sensor(node: Node, known: float) -> float:
             the sensor's axes explains beyond the field may be the same: it does not count twice.
     """
     ahead = node.in_sensor
-    return max(node.log + ahead, known + min(ahead, 0.0)) - PRIOR.named + PRIOR.unknown
+    return max(node.log + ahead, known + min(ahead, 0.0)) - PRIOR.named + PRIOR.unknown - PRIOR.one_of_families
 
 
 def _above(families: Sequence[Weighed], least: Sequence[float]) -> tuple[float, float]:

@@ -8,16 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR, with_each_drift
+from magyc_gtsam.gap.evidence.joined import joined
 from magyc_gtsam.gap.evidence.joint_fits import JointFits
 from magyc_gtsam.gap.evidence.look import finer
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, one_event, related
+from magyc_gtsam.gap.evidence.outline import Outline
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of
 from magyc_gtsam.gap.model.field_variation import field_variation
@@ -26,20 +27,6 @@ from magyc_gtsam.gap.model.refit import Refit, refit, with_term, without_term
 from magyc_gtsam.gap.rules import RULES
 
 _MORE_MODES = float(np.log(RULES.drift_finer))
-
-
-class Outline(NamedTuple):
-    """What the tree of nearly the same readings takes over of a tree, without its columns.
-
-    Attributes:
-        near: names, model and nats of the grid searches of the probable sets.
-        refused: sets without a possible fit.
-        unrivalled: terms, name and setting, that are not exchanged again.
-    """
-
-    near: tuple[tuple[tuple[str, ...], Model, float], ...]
-    refused: frozenset[tuple[str, ...]]
-    unrivalled: frozenset[tuple[object, ...]]
 
 
 class Tree:
@@ -75,7 +62,7 @@ class Tree:
         What is evident beside the best set is added first: exchanges beside a set that lacks it are of no use, and may
         be as many as there are sets to be fitted.
         """
-        while self._deepened() or self._exchanged() or self._deepened() or self._left_out():
+        while self._deepened() or self._exchanged() or self._deepened() or self._joined() or self._left_out():
             pass
 
     @property
@@ -187,6 +174,19 @@ class Tree:
                     return True
         return self.best is not best
 
+    def _joined(self) -> bool:
+        """Take two changes of the best set, until one time and from another one on, for one between these times.
+
+        Return whether a better set was found: it has half as many values if both are the same.
+        """
+        best = self.best
+        time = best.fit.twin.time
+        for name, model in joined(best.fit.model, float(time[-1] - time[0])):
+            fit = self.fits.fit(model, None)
+            if fit is not None:
+                self._keep(self.fits.settled(self.fits.node(best.names_without(name), fit, best.search)))
+        return self.best is not best
+
     def _left_out(self) -> bool:
         """Leave out the effects of the best set that add less than they cost; return whether a better set was found.
 
@@ -232,9 +232,13 @@ class Tree:
             return None
         names = node.names_without(name)
         less = self.fits.node(names, fit, node.search)
-        if known is None or known.log < less.log:  # otherwise the same names with other settings are more probable
-            self.nodes[less.key] = less
+        self._keep(less)
         return less
+
+    def _keep(self, node: Node) -> None:
+        known = self.nodes.get(node.key)
+        if known is None or known.log < node.log:  # otherwise the same names with other settings are more probable
+            self.nodes[node.key] = node
 
     def _children(self, node: Node) -> Iterator[Node]:
         if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.fits.freedom):

@@ -59,7 +59,7 @@ def _variation(each: AddedEffect, logs: Sequence[OneLog]) -> SharedEffect:
         InLog(
             log.name,
             float(p),
-            np.array([np.hypot(log.variation.along, log.variation.attitude) * 1e6]),
+            np.array([log.variation.size * 1e6]),
             np.full(1, np.nan),
             {"period": log.variation.period},
         )

@@ -20,6 +20,7 @@ from itertools import product
 
 import numpy as np
 
+from magyc_gtsam.calibration.limits import PLAUSIBLE_FIELD
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import per_axis
 from magyc_gtsam.gap.model.amplitudes import EvidenceOfAmplitudes
@@ -74,6 +75,16 @@ class FieldVariation:
     def evident(self) -> bool:
         """Return whether the evidence for a variation is sufficient."""
         return self.gain > RULES.field_varies and self.along > 0
+
+    @property
+    def size(self) -> float:
+        """Return the standard deviation of the variation, along the way and with attitude, T."""
+        return float(np.hypot(self.along, self.attitude))
+
+    def share_of(self, twin: Twin) -> float:
+        """Return that relative to the strength of the field in a model, which is at most a plausible one."""
+        strength = float(np.sqrt((twin.windows.need("field") ** 2).sum(axis=0).mean()))
+        return self.size / min(strength, PLAUSIBLE_FIELD[1])
 
     def whiten(self, rows: Array) -> Array:
         """Whiten rows (k, 3n), already whitened for the sensors' noise, for the variation of the field too."""

@@ -247,10 +247,10 @@ def _varying(node: Node, stated: Mapping[str, float]) -> Iterator[Found]:
     if variation is None:
         return
     rivals = (GRADIENT.name,) if GRADIENT.missing(node.fit.twin) else ()
-    field, place = np.hypot(variation.along, variation.attitude), {"attitude": variation.attitude}
+    place = {"attitude": variation.attitude, "share": variation.share_of(node.fit.twin)}
     for name, evidence, size, setting, others in (
         (COLOUR, 0.5 * node.of_colour[0], variation.colour, {"correlation_time": variation.colour_period}, ()),
-        (FIELD_VARIATION, variation.gain, float(field), {"period": variation.period, **place}, rivals),
+        (FIELD_VARIATION, variation.gain, variation.size, {"period": variation.period, **place}, rivals),
     ):
         if size and stated.get(name, 0.0) > PRIOR.named_from:
             value, sigma = np.array([size]), np.array([0.5 * size])  # the grid of amplitudes has octaves

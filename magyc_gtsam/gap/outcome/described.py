@@ -8,6 +8,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.axes import axes_words
+from magyc_gtsam.estimators.smoother.reasons import MOST_UNEXPLAINED
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
@@ -69,10 +70,13 @@ def _noise_sentence(noise: NoiseScore, gyroscope_axes: str) -> str:
             "calibrated, half a step is to be added to positive and subtracted from negative ones"
         )
     if noise.name == FIELD_VARIATION:
-        return (
-            f"the field of the place varies by {value * 1e6:.2g} µT along the way and with attitude: sigmas allow "
-            "for it, and no calibration takes it out"
-        )
+        varies = f"the field of the place varies by {value * 1e6:.2g} µT along the way and with attitude"
+        if setting["share"] > MOST_UNEXPLAINED:
+            return (
+                f"{varies}, more than {MOST_UNEXPLAINED:.0%} of its strength: effects beside it cannot be told; "
+                "choose an interval (start=, end=), or a place away from magnets and steel"
+            )
+        return f"{varies}: sigmas allow for it, and no calibration takes it out"
     if noise.name == "sample-hold":
         return f"the magnetometer repeats {setting['share']:.0%} of its rows; held rows were left out"
     without = ", without gyroscope_axes=" if gyroscope_axes == OWN_AXES else ""

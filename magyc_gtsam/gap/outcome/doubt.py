@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Manoeuvre
@@ -37,9 +39,11 @@ def doubted(calibration: Calibration, doubt: Doubt) -> Calibration:
 
 def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
     """Return the gap, open unless saturation is in the model and the clipped share is small enough for its form."""
-    complete = gap.verdict in ("none", "closed")
-    why = "" if clipped is None else why_clipped(clipped, gap.calibration, complete)
-    if clipped is None or not why:
+    if clipped is None:
+        return gap
+    gap = replace(gap, calibration=_cut_off(gap.calibration, clipped))
+    why = why_clipped(clipped, gap.calibration, gap.verdict in ("none", "closed"))
+    if not why:
         return gap
     doubt = doubt_of_clipped(clipped, why)
     doubted_gap = replace(
@@ -49,6 +53,20 @@ def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
         base=doubted(gap.base, doubt),
     )
     return with_doubt(doubted_gap, doubt)
+
+
+def _cut_off(calibration: Calibration, clipped: ClippedField) -> Calibration:
+    """Return a calibration whose saturation sets in where readings are cut off, and at once.
+
+    The fit is to means of noisy readings, which bend before the full scale; below it a single reading is right as it
+    is, and was corrected by 4° of heading in one of 232 logs.
+    """
+    setting = {
+        "level": min(abs(each) for levels in clipped.levels for each in levels if np.isfinite(each)),
+        "fall": 0.0,
+    }
+    terms = (replace(t, setting=setting) if t.name == "saturation" else t for t in calibration.terms)
+    return replace(calibration, terms=tuple(terms))
 
 
 def why_clipped(clipped: ClippedField, calibration: Calibration, complete: bool) -> str:

@@ -20,7 +20,7 @@ FAULTS: Mapping[str, Fault] = {
     "stuck-axis": Fault("field", e.stuck_axis, 0.2, 0.45, "of the log"),
     "flickering-axis": Fault("field", e.flickering_axis(0.15e-6), 0.2, 0.6, "of the log"),
     "frozen-magnetometer": Fault("field", m.frozen, 0.2, 0.6, "of the log"),
-    "full-scale": Fault("field", m.full_scale, 0.02, 0.2, "of the samples"),
+    "full-scale": Fault("field", m.full_scale, 0.02, 0.2, "of the samples", cuts=True),
     "wrapping-full-scale": Fault("field", m.wrapping_full_scale, 0.02, 0.2, "of the samples"),
     "coarse": Fault("field", e.coarse, 1e-6, 10e-6, "T"),
     "held-magnetometer": Fault("field", e.held, 3, 10, "rows"),

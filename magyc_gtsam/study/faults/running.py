@@ -160,8 +160,9 @@ def work(job: CaseByMethod) -> Row:
     """Return the row of a job."""
     case, fault = job.case, FAULTS[job.case.fault]
     log = record(case.motion, case.seed, fault, getattr(fault, case.strength), case.fault)
+    largest = float(np.abs(log.field).max()) if fault.cuts else np.inf
     try:
-        result = score(*_calibrated(job, log), log.body_R_sensor, float(log.field_time[-1]))
+        result = score(*_calibrated(job, log), log.body_R_sensor, float(log.field_time[-1]), largest)
     except Exception as error:  # noqa: BLE001 - counted, and the study ends with exit code 1
         result = crashed(error)
     return job.row(result)

@@ -61,7 +61,11 @@ def crashed(error: Exception) -> FaultScore:
 
 
 def score(
-    calibration: Calibration | None, message: str = "", body_R_sensor: Array = _ALIGNED, end: float = 0.0
+    calibration: Calibration | None,
+    message: str = "",
+    body_R_sensor: Array = _ALIGNED,
+    end: float = 0.0,
+    largest: float = np.inf,
 ) -> FaultScore:
     """Score a calibration with its terms by the truth of `signals.record` at the end of the log.
 
@@ -70,6 +74,7 @@ def score(
         message: the reason why there is no result.
         body_R_sensor: (3, 3) from the sensor's axes to the body's, in which the field is given and the heading judged.
         end: end of the log, s.
+        largest: reading of the magnetometer that it cannot exceed, T, in a level turn either.
     """
     if calibration is None or calibration.covariance is None:
         return refused(message or "no calibration with a covariance")
@@ -77,7 +82,7 @@ def score(
     covariance = calibration.covariance.copy()
     covariance[6:9, 6:9] += _term_covariance(calibration, end)
     sigma = np.sqrt(np.diag(covariance)[6:9])
-    heading, heading_sigma = _heading(calibration, covariance, body_R_sensor, end)
+    heading, heading_sigma = _heading(calibration, covariance, body_R_sensor, end, largest)
     iron_wrong = bool(((off > SIGMAS * sigma) & (off > HARD_IRON_MATTERS)).any())
     heading_wrong = bool(((heading > SIGMAS * heading_sigma) & (heading > HEADING_MATTERS)).any())
     outcome = "refused"
@@ -123,14 +128,17 @@ def _term_covariance(calibration: Calibration, end: float) -> Array:
     return covariance
 
 
-def _heading(calibration: Calibration, covariance: Array, body_R_sensor: Array, end: float) -> tuple[Array, Array]:
+def _heading(
+    calibration: Calibration, covariance: Array, body_R_sensor: Array, end: float, largest: float
+) -> tuple[Array, Array]:
     """Return the error (n,) deg of the calibrated heading over a level turn, and its stated sigma."""
     heading = np.arange(0.0, 360.0, 10.0)
     angle = np.deg2rad(heading)
     north, east, down = FIELD  # level turn about the body's z axis
     forward, right = north * np.cos(angle) + east * np.sin(angle), -north * np.sin(angle) + east * np.cos(angle)
     body = np.column_stack([forward, right, np.full_like(angle, down)])
-    field = _standing(calibration, body @ body_R_sensor @ SOFT_IRON.T + HARD_IRON, end)
+    reading = np.clip(body @ body_R_sensor @ SOFT_IRON.T + HARD_IRON, -largest, largest)
+    field = _standing(calibration, reading, end)
     angle = np.arctan2(body[:, 1], body[:, 0])  # angle of the horizontal field in body axes
     error = np.arctan2(field[:, 1], field[:, 0]) - angle
     error = np.abs(np.rad2deg(np.angle(np.exp(1j * error))))

@@ -85,6 +85,7 @@ class Fault:
             chips.
         rate: rate of the log, Hz.
         turns: whether it rotates the axes of the gyroscope, which are the body's.
+        cuts: whether no reading of the magnetometer can exceed the largest one.
     """
 
     place: str
@@ -95,6 +96,7 @@ class Fault:
     shows: bool = True
     rate: float = 10.0
     turns: bool = False
+    cuts: bool = False
 
     @property
     def between(self) -> float:
