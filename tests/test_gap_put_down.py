@@ -53,7 +53,7 @@ def test_a_stay_is_found_from_both_ends_of_the_rest() -> None:
     """The field beside steel, for 40 % of the log, was taken for that of the place, and the hard iron 24 µT off."""
     fault = FAULTS["stay-beside-steel"]
     log = record("tiny", 35099, fault, fault.strong, "stay-beside-steel").recording("stay")
-    gap = mg.find_gap(log, candidates=["local-anomaly", "hard-iron-step", "timing"])
+    gap = mg.find_gap(log)
     (stay,) = gap.effects
     assert (stay.name, *stay.setting) == ("local-anomaly", "time", "until")
     assert gap.calibration.trusted
