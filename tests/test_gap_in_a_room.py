@@ -79,7 +79,7 @@ def test_beside_magnets_nothing_but_the_field_is_named() -> None:
     gap = mg.find_gap(_in_a_room(1, jump=0.06, varies=15e-6))
     assert gap.names == (FIELD_VARIATION,)
     assert gap.effects[0].setting["share"] > MOST_UNEXPLAINED
-    assert "more than 10% of its strength: effects beside it cannot be told; choose an interval" in gap.sentence
+    assert "more than 10% of its strength: smaller effects cannot be told; choose an interval" in gap.sentence
     assert gap.verdict == "open"
     assert not gap.calibration.trusted
 

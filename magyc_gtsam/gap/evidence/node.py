@@ -76,9 +76,10 @@ class Node:
 
     @cached_property
     def disturbed(self) -> bool:
-        """Return whether the field varies by so much of its strength that nothing beside it can be told.
+        """Return whether the field varies by so much of its strength that only what is larger can be told beside it.
 
-        A part of it, which has no form, then looks like any name: of 14 names in a walk past magnets 12 were false.
+        A part of it, which has no form, then looks like any name: of 14 names in a walk past magnets 12 were false. A
+        magnet that is attached by hand explains more than what else varies.
         """
         if self.variation is None:
             return False

@@ -48,7 +48,9 @@ def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
     form, (foreign, seen) = _families(tree, node, powers)
     known = float(np.logaddexp(node.log, node.log + form))
     if node.disturbed:
-        yield SetWeight((FIELD_VARIATION,), known, 0.0)
+        formless = node.of_field + node.of_colour[0]
+        strong = {name: power for name, power in powers.items() if name in TERMS and power > formless}
+        yield SetWeight(tuple(sorted({*strong, FIELD_VARIATION})), known, 0.0)
         return
     yield SetWeight(key, known, None, powers)
     if np.isfinite(foreign):

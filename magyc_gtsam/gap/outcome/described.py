@@ -73,7 +73,7 @@ def _noise_sentence(noise: NoiseScore, gyroscope_axes: str) -> str:
         varies = f"the field of the place varies by {value * 1e6:.2g} µT along the way and with attitude"
         if setting["share"] > MOST_UNEXPLAINED:
             return (
-                f"{varies}, more than {MOST_UNEXPLAINED:.0%} of its strength: effects beside it cannot be told; "
+                f"{varies}, more than {MOST_UNEXPLAINED:.0%} of its strength: smaller effects cannot be told; "
                 "choose an interval (start=, end=), or a place away from magnets and steel"
             )
         return f"{varies}: sigmas allow for it, and no calibration takes it out"
