@@ -68,11 +68,14 @@ class Node:
         return Look.of(self.candidates, self.fit.twin, self.beside)
 
     @cached_property
+    def with_sensor(self) -> FieldVariation:
+        """Return what varies in the sensor's axes, in place of the field in the world's."""
+        return field_variation(self.fit.twin, in_world=False)
+
+    @property
     def in_sensor(self) -> float:
         """Return the nats of the field's variation in the sensor's axes, relative to that in the world's."""
-        if self.variation is None:
-            return 0.0
-        return field_variation(self.fit.twin, in_world=False).gain - self.variation.gain
+        return 0.0 if self.variation is None else self.with_sensor.gain - self.variation.gain
 
     @cached_property
     def disturbed(self) -> bool:
@@ -84,6 +87,14 @@ class Node:
         if self.variation is None:
             return False
         return self.variation.share_of(self.fit.twin) > MOST_UNEXPLAINED
+
+    @property
+    def formless(self) -> float:
+        """Return the power of a name up to which what has no form may explain it.
+
+        That is a share of the field variation's, and all of it with the correlated noise where the field is disturbed.
+        """
+        return self.of_field + self.of_colour[0] if self.disturbed else PRIOR.form * self.of_field
 
     @property
     def most(self) -> float:

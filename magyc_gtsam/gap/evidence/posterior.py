@@ -48,9 +48,8 @@ def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
     form, (foreign, seen) = _families(tree, node, powers)
     known = float(np.logaddexp(node.log, node.log + form))
     if node.disturbed:
-        formless = node.of_field + node.of_colour[0]
-        strong = {name: power for name, power in powers.items() if name in TERMS and power > formless}
-        yield SetWeight(tuple(sorted({*strong, FIELD_VARIATION})), known, 0.0)
+        strong = (name for name, power in powers.items() if name in TERMS and power > node.formless)
+        yield SetWeight(tuple(sorted((*strong, FIELD_VARIATION))), known, 0.0)
         return
     yield SetWeight(key, known, None, powers)
     if np.isfinite(foreign):
@@ -58,16 +57,17 @@ def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
     for log, seen in _products(node, powers):
         yield SetWeight(key, node.log + log, seen, powers)
     if node.variation is not None and not powers.keys() - {FIELD_VARIATION, COLOUR}:  # whatever the field absorbs
-        others = tuple(name for name in key if name != FIELD_VARIATION)
-        yield SetWeight(others, _with_sensor(node, known), node.of_field)
+        yield _with_sensor(node, known)
     for each in node.found.values():  # sets that were not fitted, in linearised form
         if each.name in TERMS and each.name not in node.names and node.key_with(each.name) not in tried:
             with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
             yield SetWeight(tuple(sorted({*key, each.name})), node.log + PRIOR.named + each.log, None, with_it)
 
 
-def _with_sensor(node: Node, known: float) -> float:
-    """Return the log weight of a variation that moves with the sensor, in place of the field's in a set.
+def _with_sensor(node: Node, known: float) -> SetWeight:
+    """Return the weight of a variation that moves with the sensor, in place of the field's in a set.
+
+    A fast one is correlated noise, any other one of the families of unknown effects.
 
     Args:
         node: the set.
@@ -75,7 +75,11 @@ def _with_sensor(node: Node, known: float) -> float:
             the sensor's axes explains beyond the field may be the same: it does not count twice.
     """
     ahead = node.in_sensor
-    return max(node.log + ahead, known + min(ahead, 0.0)) - PRIOR.named + PRIOR.unknown - PRIOR.one_of_families
+    log = max(node.log + ahead, known + min(ahead, 0.0)) - PRIOR.named
+    others = {name: power for name, power in node.powers.items() if name != FIELD_VARIATION}
+    if node.with_sensor.fast:
+        return SetWeight(tuple(sorted({*others, COLOUR})), log + PRIOR.named, None, others)
+    return SetWeight(tuple(sorted(others)), log + PRIOR.unknown - PRIOR.one_of_families, node.of_field)
 
 
 def _above(families: Sequence[Weighed], least: Sequence[float]) -> tuple[float, float]:

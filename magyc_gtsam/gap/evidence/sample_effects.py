@@ -80,7 +80,7 @@ class SampleEffects:
         """Return whether an effect is explained otherwise, or was taken out before."""
         if score.name == "tone":
             return self._endless
-        form = score.statistic < PRIOR.form * best.of_field
+        form = score.statistic < best.formless
         # Rounding moves a reading by up to a step, and rarely where the reading is far from the next one.
         rounded = self._step is not None and score.value[0] < self._step
         # Effects that are there no longer were some of the wrong samples, which they hid.

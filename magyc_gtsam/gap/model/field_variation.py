@@ -77,6 +77,11 @@ class FieldVariation:
         return self.gain > RULES.field_varies and self.along > 0
 
     @property
+    def fast(self) -> bool:
+        """Return whether it is a function of time alone that changes as fast as a sensor's noise."""
+        return self.attitude == 0 and self.period <= RULES.longest_colour
+
+    @property
     def size(self) -> float:
         """Return the standard deviation of the variation, along the way and with attitude, T."""
         return float(np.hypot(self.along, self.attitude))
