@@ -116,7 +116,7 @@ def test_a_set_without_a_fit_is_not_fitted_with_other_numbers_of_modes(monkeypat
     node = tree.nodes[(DRIFT,)]
     tried: list[float] = []
     monkeypatch.setattr(JointFits, "fit", lambda self, model, known: tried.append(model.terms[0].setting["order"]))
-    assert tree._child(node, node.found["timing"]) is None
+    assert tree.child(node, node.found["timing"]) is None
     assert tried == [node.fit.model.terms[0].setting["order"]] == [12.0]
     assert (DRIFT, "timing") in tree.refused
 
@@ -224,7 +224,7 @@ def test_what_was_added_to_a_set_is_added_to_one_that_is_as_probable(monkeypatch
         tree = completed(base_of(drifting()), names)
         assert tree.best.key == (DRIFT, "timing")
         bare = tree.nodes[()]
-        rival = tree._child(bare, bare.found[jump])
+        rival = tree.child(bare, bare.found[jump])
         assert rival is not None
         tree.nodes = {one.key: one for one in (bare, tree.nodes[(DRIFT,)], rival, tree.best)}
         monkeypatch.setattr(trees, "PRIOR", replace(PRIOR, alike=alike))

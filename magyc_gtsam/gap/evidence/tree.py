@@ -214,7 +214,7 @@ class Tree:
         """Return a set with one more effect, fitted if necessary; None if it has no fit, or the limit is reached."""
         key = node.key_with(option.name)
         if key not in self.nodes and not self._full and option.log + PRIOR.named > 0:
-            child = self._child(node, option)
+            child = self.child(node, option)
             if child is not None:
                 self.nodes[key] = child
         return self.nodes.get(key)
@@ -259,14 +259,15 @@ class Tree:
             if any(one_event(option, other) for other in tried):
                 continue  # a rival, which is exchanged for it
             if node.key_with(option.name) not in self.nodes:
-                child = self._child(node, option)
+                child = self.child(node, option)
                 if child is None:
                     continue
                 yield child
             least = max(least, option.log - PRIOR.certain)
             tried.append(option)
 
-    def _child(self, node: Node, option: Weighed) -> Node | None:
+    def child(self, node: Node, option: Weighed) -> Node | None:
+        """Return a set with one more effect, fitted; None if it has no fit."""
         setting = dict(option.setting)
         if option.name not in node.refined:
             setting = dict(finer(option, node.fit.twin, node.beside).setting)

@@ -179,6 +179,10 @@ def _fitted(
         return len(there & wanted.keys()), -len(there - wanted.keys()), node.log
 
     node = max((node for node in tree.nodes.values() if node.names[: len(given)] == given), key=fits)
+    for name in sorted(wanted.keys() - set(node.names)):  # which is in sets that were not fitted
+        option = node.found.get(name)
+        more = None if option is None or node.full(name) else tree.child(node, option)
+        node = node if more is None else more
     terms, strong = node.fit.model.terms, node.kept
     chosen = [t for i, t in enumerate(terms) if i < len(given) or (t.name in wanted and i in strong)]
     model = replace(
