@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -84,8 +85,9 @@ def test_beside_magnets_nothing_but_the_field_is_named() -> None:
     assert not gap.calibration.trusted
 
 
-def test_what_varies_with_the_sensor_is_one_of_many_unknown_effects() -> None:
-    """Slow functions of time in the sensor's axes are correlated noise, too, which is a name."""
-    name = "single-wide-coloured-noise-x0.25-00"
-    made = generate(Scenario(name, "single", "wide", seed_of(name, 411), (("coloured-noise", 0.25),)))
+@pytest.mark.parametrize("motion", ["wide", "multi"])
+def test_what_varies_fast_with_the_sensor_is_correlated_noise(motion: str) -> None:
+    """By another model: the same functions in the sensor's axes were unknown, as probable as all unknown effects."""
+    name = f"single-{motion}-coloured-noise-x0.25-00"
+    made = generate(Scenario(name, "single", motion, seed_of(name, 411), (("coloured-noise", 0.25),)))
     assert mg.find_gap(made.recording).probabilities["coloured-noise"] > PRIOR.named_from
