@@ -12,11 +12,9 @@ import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.effects.changes import during
 from magyc_gtsam.factors.effects.signals import Signals
-from magyc_gtsam.gap.effects.turns import turned
-from magyc_gtsam.gap.effects.world import ANOMALY
-from magyc_gtsam.gap.model.base import base_model, problem_of
+from magyc_gtsam.gap.effects.world import ANOMALY, turned
+from magyc_gtsam.gap.model.base import base_model, problem_of, root
 from magyc_gtsam.gap.model.rests import rate_at_rest
-from magyc_gtsam.gap.model.root import root
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.simulation import HARD_IRON
 from magyc_gtsam.study.faults.catalogue import FAULTS

@@ -8,7 +8,6 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects.iron import edges_of, references, step_nearby
 from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, measured
-from magyc_gtsam.gap.effects.turns import turned
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -96,6 +95,15 @@ def _turns(twin: Twin, stays: list[dict[str, float]]) -> np.ndarray:
 def _ends(stays: list[dict[str, float]]) -> Array:
     """Return when each stay begins and ends (k, 2), s; infinite if it does not."""
     return np.array([[stay.get("time", -np.inf), stay.get("until", np.inf)] for stay in stays]).reshape(-1, 2)
+
+
+def turned(twin: Twin, start: Array, end: Array) -> Array:
+    """Return the root mean square rotation (...), rad, of the vehicle from each start to each end (...), s; at most 1.
+
+    The rate is that beyond the one at rest. Beside a jump of the iron that is not yet in it a model has a wrong bias,
+    with which a rest turns: that of BROAD 32 by 0.1 rad within two seconds.
+    """
+    return twin.problem.track(twin.model.parameters[9:12]).turned(start, end)
 
 
 def _changes_strength(twin: Twin, value: Array, setting: Setting) -> bool:

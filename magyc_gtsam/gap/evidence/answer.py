@@ -23,10 +23,9 @@ from magyc_gtsam.gap.evidence.posterior import (
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.sample_effects import SampleEffects, change, left_by
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.model.base import problem_of
+from magyc_gtsam.gap.model.base import problem_of, root
 from magyc_gtsam.gap.model.colour import ColouredNoise
 from magyc_gtsam.gap.model.problem import Model
-from magyc_gtsam.gap.model.root import root
 from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording

@@ -15,10 +15,10 @@ from magyc_gtsam.gap.evidence.node import Node
 from magyc_gtsam.gap.evidence.posterior import Set, SetWeight, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
+from magyc_gtsam.gap.model.base import root
 from magyc_gtsam.gap.model.colour import ColouredNoise
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit
-from magyc_gtsam.gap.model.root import root
 
 _ROUNDS = 3  # of estimating the noise from what the best set leaves
 

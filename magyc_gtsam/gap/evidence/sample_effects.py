@@ -17,12 +17,14 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.evidence.node import Node
-from magyc_gtsam.gap.evidence.noise import log_odds, singles_of, without
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import problem_of
+from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.fine import Fine, fine_innovations, single_scores
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, in_place_of
-from magyc_gtsam.gap.samples.tones import sounding
+from magyc_gtsam.gap.samples.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 _LINES = 4  # taken out at most; a hum has one to three
@@ -60,7 +62,7 @@ class SampleEffects:
         fine, found = singles_of(self.recording, model)
         for name in ("spikes", *("tone",) * (_LINES + 1)):
             score, known = found[name], self.said.get(name, -np.inf)
-            odds = log_odds(score)
+            odds = _log_odds(score)
             if name not in self._names or not score.significant or self._passed(score, known, best):
                 continue
             if name == "tone" and odds > 0 and sum(one.name == name for one in self.left_out) == _LINES:
@@ -72,7 +74,7 @@ class SampleEffects:
             self.said[name] = max(odds, known)
             if odds > 0:
                 self._beside[name] = Counter(best.names)
-                self.recording, taken = without(self.recording, model, fine, score)
+                self.recording, taken = _without(self.recording, model, fine, score)
                 self.left_out = _with(self.left_out, taken)
                 fine, found = singles_of(self.recording, model)
 
@@ -93,11 +95,37 @@ class SampleEffects:
         every = [one.setting["frequency"] for one in (*lines, more)]
         near = [in_place_of(np.array(every), f, 1 / duration).sum() > 1 for f in every]
         back = [one for one, shared in zip(lines, near[:-1], strict=True) if shared or not any(near)]
-        terms = [Term(one.name, one.value, np.diag(one.sigma**2), one.setting) for one in back]
-        self.recording = sounding(self.recording, terms)
+        terms = [Term(one.name, -one.value, np.diag(one.sigma**2), one.setting) for one in back]
+        self.recording = silenced(self.recording, terms)  # of the opposite sign
         self.left_out = [one for one in self.left_out if not any(one is line for line in back)]
         if len(back) == len(lines):
             del self.said["tone"]
+
+
+def _log_odds(score: NoiseScore) -> float:
+    """Return the log odds of an effect on single samples, from its gain in likelihood beyond chance."""
+    # Bound for the p-value of the largest of many lines: −ln(e p ln(1/p)) (Sellke, Bayarri and Berger 2001).
+    of_search = 1 + np.log(max(score.evidence, 1.0)) + RULES.unsure_line if score.name == "tone" else 0.0
+    gain = score.evidence - of_search
+    return float(min(gain + PRIOR.named, 2 * PRIOR.certain)) if score.significant else -PRIOR.certain
+
+
+def singles_of(recording: Recording, model: Model) -> tuple[Fine, dict[str, NoiseScore]]:
+    """Return the tests of the effects on single samples beside a model."""
+    fine = fine_innovations(recording, model)
+    return fine, {score.name: score for score in single_scores(recording, fine, 0.0)}
+
+
+def _without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -> tuple[Recording, NoiseScore]:
+    """Return the recording without an effect on single samples, and the effect with the value taken out."""
+    if score.name == "tone":
+        line = heard(recording, model, score.setting["frequency"])
+        return silenced(recording, [line]), replace(
+            score, value=line.value, sigma=line.sigma, setting=line.setting
+        )
+    assert score.rows is not None
+    wrong = np.isin(recording.time, fine.time[score.rows])
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong), score
 
 
 def left_by(node: Node, recording: Recording) -> Array:

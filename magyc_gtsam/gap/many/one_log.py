@@ -16,15 +16,14 @@ from magyc_gtsam.gap.evidence.beside import LEAST, Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings, what_matters
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import neighbours
-from magyc_gtsam.gap.evidence.noise import singles_of
 from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.sample_effects import singles_of
 from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale, scales_of
 from magyc_gtsam.gap.many.model import MODEL
-from magyc_gtsam.gap.model.base import problem_of
+from magyc_gtsam.gap.model.base import TooSmoothError, problem_of, root
 from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
-from magyc_gtsam.gap.model.root import TooSmoothError, root
 from magyc_gtsam.gap.naming.steps import away_from_steps
 from magyc_gtsam.gap.prepared import Prepared
 from magyc_gtsam.gap.samples.first import First

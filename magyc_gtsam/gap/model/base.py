@@ -1,4 +1,4 @@
-"""The base model of a gap: the calibration alone at its minimum, before any effect is added."""
+"""The model without effects: the calibration alone at its minimum, and again with the noise of the sensors alone."""
 
 from __future__ import annotations
 
@@ -57,3 +57,19 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
             terms = (*terms, Active("timing", {}, np.array([delay])))
     free[DELAY] = any(term.name == "timing" for term in terms)
     return refit(problem_of(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
+
+
+class TooSmoothError(MagycError):
+    """The noise from sample to sample is so much smaller than the misfit that the innovations have no covariance."""
+
+
+def root(problem: Problem, model: Model) -> Refit:
+    """Fit a model without effects.
+
+    Raises:
+        TooSmoothError: there is no fit, which without a term that may be out of range is due to the noise.
+    """
+    try:
+        return refit(problem, model, None)
+    except MagycError as error:
+        raise TooSmoothError(str(error)) from error

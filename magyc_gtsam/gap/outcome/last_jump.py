@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.gap.effects.turns import turned
+from magyc_gtsam.gap.effects.world import turned
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.rules import RULES
 

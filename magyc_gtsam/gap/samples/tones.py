@@ -34,11 +34,6 @@ def heard(recording: Recording, model: Model, frequency: float) -> Term:
     return Term("tone", value, float((v**2).mean()) * covariance, {"frequency": frequency})
 
 
-def sounding(recording: Recording, tones: Sequence[Term]) -> Recording:
-    """Return the recording with the tones that were subtracted from it."""
-    return silenced(recording, [replace(tone, value=-tone.value) for tone in tones])
-
-
 def silenced(recording: Recording, tones: Sequence[Term]) -> Recording:
     """Return the recording with the tones subtracted."""
     if not tones:
