@@ -14,8 +14,7 @@ from magyc_gtsam.gap.effects.term import (
     EffectTerm,
     at_time,
     behind,
-    deviation_of_modes,
-    over_recording,
+    course,
     vector,
 )
 from magyc_gtsam.gap.model.twin import Twin
@@ -59,10 +58,7 @@ def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
-    if setting["order"] == 0:
-        return f"the gyroscope's bias drifted by {vector(value, sigma)} mrad/s {over_recording(setting)}"
-    by = deviation_of_modes(value)
-    return f"the gyroscope's bias drifted, by {by} mrad/s (standard deviation) over the recording"
+    return course("the gyroscope's bias drifted", "mrad/s", value, sigma, setting)
 
 
 def _say_g(value: Array, sigma: Array, setting: Setting) -> str:

@@ -9,15 +9,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
-from magyc_gtsam.gap.effects.term import (
-    NEARBY,
-    EffectTerm,
-    at_time,
-    behind,
-    deviation_of_modes,
-    over_recording,
-    vector,
-)
+from magyc_gtsam.gap.effects.term import NEARBY, EffectTerm, at_time, behind, course, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
@@ -180,10 +172,8 @@ def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
-    if setting["order"] == 0:
-        return f"the hard iron drifted by {vector(value[:3], sigma[:3])} µT {over_recording(setting)}"
-    by = deviation_of_modes(value)
-    return f"the hard iron drifted irregularly, by {by} µT (standard deviation) over the recording"
+    irregularly = " irregularly" if setting["order"] else ""
+    return course(f"the hard iron drifted{irregularly}", "µT", value, sigma, setting)
 
 
 MOTOR_CURRENT = EffectTerm(

@@ -16,7 +16,7 @@ from magyc_gtsam.gap.effects.iron import (
     step_times,
     warming_nearby,
 )
-from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, deviation_of_modes, over_recording, vector
+from magyc_gtsam.gap.effects.term import EffectTerm, at_time, behind, course, vector
 
 
 def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
@@ -25,10 +25,7 @@ def _say_gain(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
-    if setting["order"] == 0:
-        return f"the magnetometer's gain drifted by {vector(value, sigma)} % {over_recording(setting)}"
-    by = deviation_of_modes(value)
-    return f"the magnetometer's gain drifted, by {by} % (standard deviation) over the recording"
+    return course("the magnetometer's gain drifted", "%", value, sigma, setting)
 
 
 def _say_load(value: Array, sigma: Array, setting: Setting) -> str:

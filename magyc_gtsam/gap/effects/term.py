@@ -182,16 +182,15 @@ def behind(setting: Setting, what: str, digits: int = 0) -> str:
     return f", {setting['lag']:.{digits}f} s behind {what}" if setting.get("lag") else ""
 
 
-def over_recording(setting: Setting) -> str:
-    """Return the course of a drift of order 0 as text."""
+def course(what: str, unit: str, value: Array, sigma: Array, setting: Setting) -> str:
+    """Return the course of a drift of `what` as text: a line, that of a part that warms up, or modes (3k,)."""
+    if setting["order"]:
+        by = vector(np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2))
+        return f"{what}, by {by} {unit} (standard deviation) over the recording"
+    said = f"{what} by {vector(value, sigma)} {unit} over the recording"
     if "constant" not in setting:
-        return "over the recording"
-    return f"over the recording, like a part that warms up, with a time constant of {setting['constant']:.2g} s"
-
-
-def deviation_of_modes(value: Array) -> str:
-    """Return the standard deviation over the recording of a vector that drifts in modes with values (3k,)."""
-    return vector(np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2))
+        return said
+    return f"{said}, like a part that warms up, with a time constant of {setting['constant']:.2g} s"
 
 
 def vector(value: Sequence[float] | Array, sigma: Sequence[float] | Array | None = None) -> str:

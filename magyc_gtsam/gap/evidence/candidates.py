@@ -166,9 +166,7 @@ def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> 
     for first in range(0, len(made), some):
         own = slice(places[first][0], ends[min(first + some, len(made)) - 1])
         np.multiply(twin.whiten(together(made[first : first + some])), unit[own, None], out=rows[own])
-    score_bias = np.concatenate(
-        [np.zeros(len(part.window)) if part.score_bias is None else part.score_bias for part in made]
-    )
+    score_bias = np.concatenate([part.bias for part in made])
     prior = -float(np.log(len(settings)))
     parts: list[Part] = [(place, name, setting, prior) for place, setting in zip(places, settings, strict=True)]
     return rows, score_bias * unit, parts
@@ -195,14 +193,13 @@ def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:
             size, matters = float(np.sqrt((made.link**2).mean())) / spacing, PRIOR.profile_rate
         unit = matters / max(size, 1e-300)
         rows = twin.whiten(made) * unit
-        score_bias = np.zeros(len(rows)) if made.score_bias is None else made.score_bias * unit
         cut = [np.arange(first, first + width) for width in family.parts for first in range(0, len(rows), width)]
         cut = [part[part < len(rows)] for part in cut]
         whole = float(np.log(PRIOR.whole)) if cut else 0.0
         parts: list[Part] = [(np.arange(len(rows)), family.name, {}, whole)]
         share = float(np.log((1 - PRIOR.whole) / max(len(cut), 1)))
         parts += [(part, family.name, {"first": float(part[0])}, share) for part in cut]
-        yield rows, score_bias, parts
+        yield rows, made.bias * unit, parts
 
 
 def _courses(twin: Twin, coloured: bool) -> Stack:

@@ -23,6 +23,11 @@ class Columns(NamedTuple):
     link: Array | None
     score_bias: Array | None = None
 
+    @property
+    def bias(self) -> Array:
+        """Return the score bias (p,)."""
+        return np.zeros(len(self.window)) if self.score_bias is None else self.score_bias
+
 
 def together(parts: Sequence[Columns]) -> Columns:
     """Return the columns of several parts, all on the same sensor, without their score bias."""

@@ -35,11 +35,6 @@ _DIFFERENCE = 1e-3  # rad/s
 _BIAS_STEP, _NEARBY = 1e-6, 1e-6  # steps of numerical derivatives: rad/s of the bias, relative of the soft iron
 
 
-def _contains_rate(name: str) -> bool:
-    """Return whether the regressors of a form contain the gyroscope's noise, so that its score has a bias."""
-    return FORMS[name].side == "gyroscope" and "rate" in FORMS[name].needs
-
-
 @dataclass(frozen=True, eq=False)
 class Twin:
     """A model linearised on a recording.
@@ -200,8 +195,7 @@ class Twin:
     @cached_property
     def base_score_bias(self) -> Array:
         """Return the score bias (q,) of `base_columns`."""
-        terms = [np.zeros(len(own.window)) if own.score_bias is None else own.score_bias for own in self._of_terms]
-        return np.concatenate([np.zeros(int(self.model.free.sum())), *terms])
+        return np.concatenate([np.zeros(int(self.model.free.sum())), *(own.bias for own in self._of_terms)])
 
     def columns(self, name: str, setting: Setting, value: Array | None = None) -> Columns:
         """Return the regressors of a form, per unit of value; of one that is not linear, at a value (None: at 0)."""
@@ -210,7 +204,7 @@ class Twin:
             here = self.windows
             own = form.columns(here, setting) if value is None else form.derivatives(here, value, setting)
             return Columns(own, None)
-        if _contains_rate(name):
+        if "rate" in form.needs:  # the regressors contain the gyroscope's noise, so that their score has a bias
             return self.of_profile(lambda signals: form.columns(signals, setting))
         return self.on_gyroscope(form.columns(self.gyroscope, setting))
 
