@@ -70,21 +70,15 @@ def answer(
     allowed = tuple(name for name in names if name in TERMS or name == COLOUR)
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
     base = first.refit
-    recording, problem, level = first.recording, base.twin.problem, short_term
-    steps = first.steps[0]
-    stepped = steps.significant and steps.name in names
-    if stepped:  # certain, and they would be taken for a non-linear reading
+    steps, recording, problem, level = first.stepless(names, short_term)
+    if steps is not None:  # certain, and they would be taken for a non-linear reading
         said[steps.name] = PRIOR.certain
-        recording, white = first.without_steps()
-        problem = problem_of(recording)
-        # Steps wider than the noise hide it in the differences of successive samples.
-        level = short_term._replace(magnetometer=max(short_term.magnetometer, white))
-    singles = SampleEffects(recording, names, said, float(steps.value[0]) if stepped else None)
+    singles = SampleEffects(recording, names, said, None if steps is None else float(steps.value[0]))
     outline, turn = None, 0
     while True:
         tree = Tree(root(problem, _bare(base.model, level)), allowed, base.model.terms, outline)
         turn, grown, before = turn + 1, tree.best, singles.recording
-        if stepped and turn == 1:  # once more, with a better model
+        if steps is not None and turn == 1:  # once more, with a better model
             singles.recording, _ = first.without_steps(grown.fit.model)
         changed = _taken_out(singles, grown, before)
         if not changed or turn == _ROUNDS:  # sets that are grown again need not be completed

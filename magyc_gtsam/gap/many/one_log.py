@@ -20,7 +20,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.sample_effects import singles_of
 from magyc_gtsam.gap.evidence.weighing import information_of, nats_by_scale, scales_of
 from magyc_gtsam.gap.many.model import MODEL
-from magyc_gtsam.gap.model.base import TooSmoothError, problem_of, root
+from magyc_gtsam.gap.model.base import TooSmoothError, root
 from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
@@ -117,19 +117,13 @@ class OneLog:
             raise MagycError(reasons[0])
         if ready.usable.bits:
             raise MagycError(ready.usable.bits[0].sentence)
-        data, base, short_term = ready.recording, ready.base, ready.short_term
-        problem, discrete, first = base.twin.problem, ready.discrete, First(data, base)
-        if first.steps[0].significant and first.steps[0].name in names:
-            discrete = (*discrete, first.steps[0])
-            data, white = first.without_steps()
-            problem = problem_of(data)
-            # Steps hide the noise between neighbouring samples.
-            short_term = short_term._replace(magnetometer=max(short_term.magnetometer, white))
+        steps, data, problem, short_term = First(ready.recording, ready.base).stepless(names, ready.short_term)
         try:
-            start = root(problem, replace(base.model, noise=short_term))
+            start = root(problem, replace(ready.base.model, noise=short_term))
         except TooSmoothError:
             raise MagycError(ready.too_smooth()[0]) from None
         left_out = (*ready.usable.left_out, *ready.left_out)
+        discrete = ready.discrete if steps is None else (*ready.discrete, steps)
         clipped = ready.usable.clipped
         return cls(name, data, short_term, start, discrete=discrete, clipped=clipped, left_out=left_out)
 

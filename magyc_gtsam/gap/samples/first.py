@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.gap.model.base import problem_of
+from magyc_gtsam.gap.model.problem import Model, Problem
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.coarse import centred, truncated_fit, without_steps
@@ -35,6 +38,22 @@ class First:
             coloured_noise(fine.calm, fine.rate, fine.level, NOISE_LIMIT),
             self.steps[0],
         ]
+
+    def stepless(
+        self, names: Sequence[str], short_term: SensorNoise
+    ) -> tuple[NoiseScore | None, Recording, Problem, SensorNoise]:
+        """Return the test of steps that are corrected, and the recording, its windows and its noise without them.
+
+        Args:
+            names: candidates; steps that are not one of them, or not there, are not corrected: None, and all as it is.
+            short_term: noise of the sensors between neighbouring samples, which steps that are wider hide.
+        """
+        steps = self.steps[0]
+        if not steps.significant or steps.name not in names:
+            return None, self.recording, self.refit.twin.problem, short_term
+        recording, white = self.without_steps()
+        noise = short_term._replace(magnetometer=max(short_term.magnetometer, white))
+        return steps, recording, problem_of(recording), noise
 
     def without_steps(self, model: Model | None = None) -> tuple[Recording, float]:
         """Return the recording without the mean error of its steps, and the white noise of its readings before, T.
