@@ -16,12 +16,11 @@ from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, related
 from magyc_gtsam.gap.many.described import AddedEffect, told
 from magyc_gtsam.gap.many.instruments import ANOTHER, instruments_of, not_of_one, strangers
-from magyc_gtsam.gap.many.looking import look_over
-from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT
+from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight
-from magyc_gtsam.gap.many.weighing import WeighedOverLogs
+from magyc_gtsam.gap.many.weighing import WeighedOverLogs, look_over
 from magyc_gtsam.gap.model.refit import refit, widened
 from magyc_gtsam.gap.naming.delay import with_free_delay
 from magyc_gtsam.gap.outcome.corrected import as_calibration
@@ -227,13 +226,11 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
             settings.append(None)
             present.append(float(probability))
             continue
-        setting, value = dict(best.setting), best.value
-        if instrument and chosen.name not in OF_THE_INSTRUMENT:
-            references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
-            setting = references | {k: v for k, v in chosen.setting.items() if not k.startswith("reference")}
-            value = chosen.value
+        shown = chosen if chosen.one_value else best
+        references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
+        setting = references | {k: v for k, v in shown.setting.items() if not k.startswith("reference")}
         try:
-            logs.append(log.with_effect(chosen.name, setting, value))
+            logs.append(log.with_effect(chosen.name, setting, shown.value))
         except MagycError as problem:
             own.append(LogLeftOut(log.name, str(problem)))
             kept[k] = False

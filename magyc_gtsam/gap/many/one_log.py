@@ -80,6 +80,11 @@ class Test:
         )
 
 
+def strongest(tests: Sequence[Test]) -> Test | None:
+    """Return the test that explains most; None without one."""
+    return max(tests, key=lambda test: float(test.nats.max()), default=None)
+
+
 @dataclass(frozen=True, eq=False)
 class OneLog:
     """A log with its model.
@@ -151,7 +156,7 @@ class OneLog:
         twin = self.refitted.twin
         near = TERMS[name].refined(twin, setting)
         tests = self._tested(Candidates.of_parts(twin, [at_settings(twin, name, near)]))[name] if near else ()
-        best = max(tests, key=lambda test: float(test.nats.max()), default=None)
+        best = strongest(tests)
         return setting if best is None else dict(best.setting)
 
     @cached_property

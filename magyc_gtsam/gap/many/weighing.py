@@ -1,4 +1,4 @@
-"""The evidence over many logs for one value in all logs, and for a separate value in each log that has the effect.
+"""A look at all hypotheses over many logs: one value in all logs, or a separate value in each log that has the effect.
 
 An effect has the same prior as in one log (`evidence.weighing`), with one scale in all logs. For one value in all logs,
 the logs' information matrices and scores are summed first. For a value in each log, a share π of the logs has it,
@@ -8,7 +8,7 @@ the logs' information matrices and scores are summed first. For a value in each 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import expit, logsumexp, softmax
@@ -17,7 +17,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT, OF_THE_PLACE
-from magyc_gtsam.gap.many.one_log import Test
+from magyc_gtsam.gap.many.one_log import OneLog, Test, strongest
 
 Tests = Mapping[str, tuple[Test, ...]]
 _FAR = 300.0  # nats beyond which the share no longer matters
@@ -29,20 +29,20 @@ class WeighedOverLogs:
 
     Attributes:
         name: of the effect or family.
-        shared: evidence of one value in all logs, nats; −∞ if it has none.
         apart: evidence of a separate value in each log that has it, nats.
-        setting, value: of the shared value at its best setting, SI.
         present: (logs,) probability that a log has it, if each log has a separate value.
         best: for each log the test that explains most; None if it cannot be tested.
+        shared: evidence of one value in all logs, nats; −∞ if it has none.
+        setting, value: of the shared value at its best setting, SI.
     """
 
     name: str
-    shared: float
     apart: float
-    setting: Mapping[str, float]
-    value: Array
     present: Array
     best: tuple[Test | None, ...]
+    shared: float = -np.inf
+    setting: Mapping[str, float] = field(default_factory=dict)
+    value: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def named(self) -> bool:
@@ -62,26 +62,64 @@ class WeighedOverLogs:
             return 0.0
         return 1.0 if self.name in OF_THE_INSTRUMENT else float(expit(self.shared - self.apart))
 
+    @property
+    def one_value(self) -> bool:
+        """Return whether all logs have one value, and not each its own, or a level relative to its readings."""
+        return self.instrument >= 0.5 and self.name not in OF_THE_INSTRUMENT
+
+
+def look_over(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs, ...]:
+    """Return all hypotheses, strongest first."""
+    tests = [log.tests(names) for log in logs]
+    for name in names:
+        pooled = _pooled([log.get(name, ()) for log in tests])
+        for log, found in zip(logs, tests, strict=True):
+            if pooled and found.get(name):
+                found[name] = (*found[name], *log.tests_at(name, pooled))
+    every = dict.fromkeys(name for found in tests for name in found)
+    weighed = [weigh(name, tests) for name in every]
+    if all(log.variation is None for log in logs):
+        apart, present, _ = mixture(np.array([log.varying[0] for log in logs])[None, None])
+        weighed.append(WeighedOverLogs(FIELD_VARIATION, apart, present, (None,) * len(logs)))
+    return tuple(sorted((w for w in weighed if _possible(w, logs)), key=lambda each: -each.nats))
+
+
+def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
+    """Return the best setting of each log, to be tested in all logs, if the logs have no setting in common."""
+    keys = [{test.key for test in tests} for tests in of_log if tests]
+    if len(keys) < 2 or set.intersection(*keys):
+        return []
+    best = [test for test in map(strongest, of_log) if test is not None]
+    if any("time" in test.setting or "start" in test.setting for test in best):
+        return []
+    return list({test.key: dict(test.setting) for test in best}.values())
+
+
+def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
+    """Return whether a significant effect has possible values in most of the logs that contain it."""
+    if not weighed.named or weighed.nats < MODEL.sure:
+        return True
+    said = []
+    for log, best, present in zip(logs, weighed.best, weighed.present, strict=True):
+        if best is not None and (weighed.one_value or present > 0.5):
+            own = weighed if weighed.one_value else best
+            said.append(TERMS[weighed.name].possible(log.refitted.twin, own.value, own.setting))
+    return not said or float(np.mean(said)) >= 0.5
+
 
 def weigh(name: str, logs: Sequence[Tests]) -> WeighedOverLogs:
     """Return the evidence, in both cases, of an effect that some of the logs can show."""
     of_log = [log.get(name, ()) for log in logs]
-    best = tuple(max(tests, key=lambda test: float(test.nats.max()), default=None) for tests in of_log)
     apart, present, _ = mixture(_by_kind(name, of_log))
+    alone = WeighedOverLogs(name, apart, present, tuple(map(strongest, of_log)))
     if name in MOMENTS or name.startswith("time:"):
-        return WeighedOverLogs(name, -np.inf, apart, {}, np.zeros(0), present, best)
-    shared, setting, value = _shared(name, of_log)
-    return WeighedOverLogs(name, shared, apart, setting, value, present, best)
+        return alone
+    shared, best = _shared(name, of_log)
+    return replace(alone, shared=shared, setting=best.setting, value=best.value)
 
 
-def weigh_variation(nats: Sequence[float]) -> WeighedOverLogs:
-    """Return the evidence of a varying field, which belongs to the place, from that of each log (logs,)."""
-    apart, present, _ = mixture(np.array(nats)[None, None])
-    return WeighedOverLogs(FIELD_VARIATION, -np.inf, apart, {}, np.zeros(0), present, (None,) * len(nats))
-
-
-def _shared(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Mapping[str, float], Array]:
-    """Return the evidence of one value in all logs, and the setting and value that explain most."""
+def _shared(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Test]:
+    """Return the evidence of one value in all logs, and the test of all logs at the setting that explains most."""
     keyed: dict[tuple, list[Test]] = {}
     for tests in of_log:
         for key, test in {test.key: test for test in tests}.items():
@@ -96,8 +134,7 @@ def _shared(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Mapping
         unit = np.exp(np.mean([np.log(test.unit) for test in tests], axis=0))
         together.append(Test.of(name, tests[0].setting, information, score, unit))
     table = np.array([test.nats for test in together])
-    best = together[int(table.max(axis=1).argmax())]
-    return float(logsumexp(table) - np.log(table.size)), best.setting, best.value
+    return float(logsumexp(table) - np.log(table.size)), together[int(table.max(axis=1).argmax())]
 
 
 def mixture(tables: Array) -> tuple[float, Array, float]:
