@@ -17,7 +17,7 @@ from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.decision import UNKNOWN
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
-from magyc_gtsam.gap.outcome.doubt import LOG_MORE, left_open
+from magyc_gtsam.gap.outcome.doubt import left_open
 from magyc_gtsam.gap.outcome.unsure import doubt_whether, in_brief
 from magyc_gtsam.gap.outcome.verdict import manoeuvre
 from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Manoeuvre, Status
@@ -98,7 +98,7 @@ def test_cause_and_action_are_thirty_words_at_most() -> None:
 def test_doubts_about_several_effects_are_thirty_words_at_most() -> None:
     for first, second in permutations(TERMS, 2):
         unsure = {first: 0.64, second: 0.15, UNKNOWN: 0.1}
-        doubts = [doubt_whether(unsure, LOG_MORE), doubt_whether({UNKNOWN: 0.7, first: 0.2}, LOG_MORE)]
+        doubts = [doubt_whether(unsure), doubt_whether({UNKNOWN: 0.7, first: 0.2})]
         doubts += [left_open((effect(first),) * n, (), in_brief(unsure), None) for n in (1, 2)]
         assert all(len(doubt.sentence.split()) <= MOST_WORDS for doubt in doubts), doubts
         assert all(LABELS[first] in doubt.cause for doubt in doubts)

@@ -135,15 +135,14 @@ def _gap_and_named(
     """Return the gap of one recording, and what is named; None if there is not enough information to name anything."""
     started = clock.perf_counter()
     ready = Prepared.of(recording, names, calibration)
-    base, short_term = ready.base, ready.short_term
     report(0.2)
     searched = _searched(ready, names)
     report(0.8)
-    result = searched if isinstance(searched, Named) else None
+    result: Named | None = None
     if isinstance(searched, Named):
-        gap = gap_of(searched, short_term, calibration, names, ready.discrete)
+        result, gap = searched, gap_of(searched, ready.short_term, calibration, names, ready.discrete)
     else:
-        gap = nothing_tested(base, *searched, calibration)
+        gap = nothing_tested(ready.base, *searched, calibration)
     gap = with_clipped(gap, ready.usable.clipped)
     for bit in ready.usable.bits:
         gap = with_stuck_bit(gap, bit)

@@ -68,20 +68,16 @@ def _variation(each: AddedEffect, logs: Sequence[OneLog]) -> SharedEffect:
     )
     sentence = f"from the place, {_where(inside, len(logs))}: {FIELD_VARIES}"
     return SharedEffect(
-        each.name,
-        FIELD_VARIES,
-        "place",
-        0.0,
-        np.zeros(0),
-        np.zeros(0),
-        ("size",),
-        "µT",
-        {},
-        sum(log.of_field for log in logs),
-        float("nan"),
-        each.rivals,
-        inside,
-        sentence,
+        name=each.name,
+        label=FIELD_VARIES,
+        of="place",
+        instrument=0.0,
+        parameters=("size",),
+        unit="µT",
+        evidence=sum(log.of_field for log in logs),
+        ambiguous_with=each.rivals,
+        logs=inside,
+        sentence=sentence,
     )
 
 
@@ -111,20 +107,20 @@ def _effect(each: AddedEffect, logs: Sequence[OneLog], calibrations: Mapping[str
     else:
         sentence = f"from the place or the day, {_where(inside, len(logs))}: {term.label}{also}"
     return SharedEffect(
-        each.name,
-        LABELS[each.name],
-        "instrument" if instrument else "place",
-        each.instrument,
-        value,
-        sigma,
-        term.names(len(value) or len(inside[0].value), rows),
-        term.unit,
-        dict(setting) if instrument else {},
-        each.evidence,
-        scatter,
-        each.rivals,
-        inside,
-        sentence,
+        name=each.name,
+        label=LABELS[each.name],
+        of="instrument" if instrument else "place",
+        instrument=each.instrument,
+        value=value,
+        sigma=sigma,
+        parameters=term.names(len(value) or len(inside[0].value), rows),
+        unit=term.unit,
+        setting=dict(setting) if instrument else {},
+        evidence=each.evidence,
+        scatter=scatter,
+        ambiguous_with=each.rivals,
+        logs=inside,
+        sentence=sentence,
     )
 
 

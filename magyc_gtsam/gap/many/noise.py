@@ -56,20 +56,17 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
     truncated = ", truncated towards zero" if all("truncated" in one.setting for _, one, _ in here) else ""
     whose = "in the instrument, in" if instrument else "from the place or the day, in"
     return SharedEffect(
-        name,
-        LABELS[name],
-        "instrument" if instrument else "place",
-        everywhere,
-        value,
-        sigma,
-        ("size",) if unit else (),
-        unit,
-        {},
-        evidence,
-        float("nan"),
-        (),
-        inside,
-        f"{whose} {len(here)} of {len(logs)} logs: {LABELS[name]}{truncated}",
+        name=name,
+        label=LABELS[name],
+        of="instrument" if instrument else "place",
+        instrument=everywhere,
+        value=value,
+        sigma=sigma,
+        parameters=("size",) if unit else (),
+        unit=unit,
+        evidence=evidence,
+        logs=inside,
+        sentence=f"{whose} {len(here)} of {len(logs)} logs: {LABELS[name]}{truncated}",
     )
 
 

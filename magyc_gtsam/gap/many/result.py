@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
+
+import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
@@ -30,7 +32,7 @@ class InLog:
     setting: Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SharedEffect:
     """An effect that was found in many logs.
 
@@ -52,14 +54,14 @@ class SharedEffect:
     label: str
     of: Literal["instrument", "place"]
     instrument: float
-    value: Array
-    sigma: Array
+    value: Array = field(default_factory=lambda: np.zeros(0))
+    sigma: Array = field(default_factory=lambda: np.zeros(0))
     parameters: tuple[str, ...]
     unit: str
-    setting: Mapping[str, float]
+    setting: Mapping[str, float] = field(default_factory=dict)
     evidence: float
-    scatter: float
-    ambiguous_with: tuple[str, ...]
+    scatter: float = float("nan")
+    ambiguous_with: tuple[str, ...] = ()
     logs: tuple[InLog, ...]
     sentence: str
 

@@ -18,7 +18,7 @@ from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, wide
 from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found, Named, as_found, term_places
 from magyc_gtsam.gap.outcome.corrected import as_calibration, given_strength, unmoved
 from magyc_gtsam.gap.outcome.described import describe
-from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, LOG_MORE, doubted, left_open, remedy, with_doubt
+from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
@@ -142,8 +142,8 @@ def gap_of(
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
     if result.unsure and not effects:
-        return with_doubt(gap, doubt_whether(result.unsure, LOG_MORE))
-    missing = place_of(result.leftover, base.twin) if result.leftover else ""
+        return with_doubt(gap, doubt_whether(result.unsure))
+    missing = place_of(result.leftover[0], base.twin) if result.leftover else ""
     missing = in_brief(result.unsure) if result.unsure else missing
     return with_doubt(gap, left_open(effects, list(open_places), missing, wanted))
 

@@ -8,10 +8,11 @@ from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.decision import UNKNOWN
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
+from magyc_gtsam.gap.outcome.doubt import LOG_MORE
 from magyc_gtsam.gap.result import Doubt, Manoeuvre
 
 _SPELLED = 3  # effects that a sentence lists
-_BESIDE = 11  # words of a doubt beside what is missing: the effects that were named, and the remedy
+_BESIDE = 11  # words of a doubt beside what is missing
 
 
 def one_of(unsure: Mapping[str, float]) -> str:
@@ -19,10 +20,10 @@ def one_of(unsure: Mapping[str, float]) -> str:
     return f"{_missing(unsure, _SPELLED)}, but none is probable enough to be named"
 
 
-def in_brief(unsure: Mapping[str, float]) -> str:
-    """Return the same in few words, beside effects that are named."""
+def in_brief(unsure: Mapping[str, float], beside: int = _BESIDE) -> str:
+    """Return the same in few words, beside so many others: the effects that are named, and the remedy."""
     brief = [_missing(unsure, count) for count in (2, 1)]
-    return next((each for each in brief if len(each.split()) <= MOST_WORDS - _BESIDE), brief[-1])
+    return next((each for each in brief if len(each.split()) <= MOST_WORDS - beside), brief[-1])
 
 
 def which(unsure: Mapping[str, float]) -> Manoeuvre | None:
@@ -34,12 +35,11 @@ def which(unsure: Mapping[str, float]) -> Manoeuvre | None:
     return Manoeuvre(tuple(unsure), motion, f"to see whether “{LABELS[name]}” is present: {motion}")
 
 
-def doubt_whether(unsure: Mapping[str, float], other: str) -> Doubt:
-    """Return the doubt about a calibration without named effects; `other`: the remedy without such a manoeuvre."""
+def doubt_whether(unsure: Mapping[str, float]) -> Doubt:
+    """Return the doubt about a calibration without named effects."""
     wanted = which(unsure)
-    action = other if wanted is None else wanted.motion
-    doubts = [Doubt(_missing(unsure, count), action) for count in (2, 1)]
-    return next((doubt for doubt in doubts if len(doubt.sentence.split()) <= MOST_WORDS), doubts[-1])
+    action = LOG_MORE if wanted is None else wanted.motion
+    return Doubt(in_brief(unsure, len(action.split())), action)
 
 
 def _missing(unsure: Mapping[str, float], count: int) -> str:

@@ -84,14 +84,11 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int, given: Collection[st
     return "; ".join(parts) or "every relevant value of the tested effects would have been detected"
 
 
-def place_of(left: Sequence[str], twin: Twin) -> str:
-    """Return the variable that what remains depends on, in words."""
-    if LINES in left:
+def place_of(left: str, twin: Twin) -> str:
+    """Return the variable that what remains, a family or `LINES`, depends on, in words."""
+    if left == LINES:
         return "an effect with many lines in its spectrum is missing"
-    for family in families(twin):
-        if family.name in left:
-            return missing(family.name, family.place)
-    return missing(next((name for name in left if name in LABELS or product_of(name)), ""), "")
+    return missing(left, next((family.place for family in families(twin) if family.name == left), ""))
 
 
 def missing(name: str, place: str) -> str:
@@ -119,7 +116,7 @@ def absent(left: Sequence[str], unsure: Mapping[str, float], twin: Twin, catalog
         return APART
     if unsure:
         return one_of(unsure)
-    where = place_of(left, twin)
+    where = place_of(left[0], twin)
     return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
 
 
