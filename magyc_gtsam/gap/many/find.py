@@ -221,22 +221,20 @@ def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]
     present: list[float] = []
     kept = np.ones(len(state.logs), dtype=bool)
     for k, (log, best, probability) in enumerate(zip(state.logs, chosen.best, chosen.present, strict=True)):
-        if best is None or not (instrument or probability > 0.5):
-            logs.append(log)
-            settings.append(None)
-            present.append(float(probability))
-            continue
-        shown = chosen if chosen.one_value else best
-        references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
-        setting = references | {k: v for k, v in shown.setting.items() if not k.startswith("reference")}
-        try:
-            logs.append(log.with_effect(chosen.name, setting, shown.value))
-        except MagycError as problem:
-            own.append(LogLeftOut(log.name, str(problem)))
-            kept[k] = False
-            continue
+        ahead, setting = log, None
+        if best is not None and (instrument or probability > 0.5):
+            shown = chosen if chosen.one_value else best
+            references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
+            setting = references | {k: v for k, v in shown.setting.items() if not k.startswith("reference")}
+            try:
+                ahead = log.with_effect(chosen.name, setting, shown.value)
+            except MagycError as problem:
+                own.append(LogLeftOut(log.name, str(problem)))
+                kept[k] = False
+                continue
+        logs.append(ahead)
         settings.append(setting)
-        present.append(1.0 if instrument else float(probability))
+        present.append(float(probability) if setting is None or not instrument else 1.0)
     one = AddedEffect(chosen.name, chosen.nats, chosen.instrument, np.array(present), tuple(settings), rivals)
     before = (each.in_logs(kept) for each in state.added)
     return replace(state, logs=tuple(logs), own=(*state.own, *own), added=(*before, one))

@@ -20,12 +20,13 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import cause_and_action, clauses
+from magyc_gtsam.gap.effects.world import turned
 from magyc_gtsam.gap.model.descent import prior_of
 from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.outcome.last_jump import doubt_of_last_jump
 from magyc_gtsam.gap.result import Doubt
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.recording import Recording
 
@@ -52,18 +53,15 @@ def judged(
     model, fit = result.model, fit_of(result.twin)
     if all(term.name != _SKEW for term in model.terms):
         fit = fit.with_skew_estimate(skew_from_score(fit, AUTOMATIC))
-    count = int(model.free.sum())
-    sensors = np.zeros((PARAMETERS, PARAMETERS))
-    sensors[np.ix_(model.free, model.free)] = result.covariance[:count, :count]
-    if beyond is not None:
-        sensors = _reaching(beyond, model)
+    sensors = _reaching(beyond or result, model)
     if fit.skew is not None:
         sensors += fit.skew.gain @ fit.skew.covariance @ fit.skew.gain.T
     known, error = Posterior(model.parameters, sensors, fit.skew), model_error(fit, recording)
-    unit = IronScale.of(unvech(model.parameters[:6]), strength).strength
+    soft_iron = unvech(model.parameters[:6])
+    unit = IronScale.of(soft_iron, strength).strength
     judgement = judge(known, error, recording, recording, strength, named=_misalignment_error(result, error, unit))
     observability = judgement.observability
-    jump = doubt_of_last_jump(result)
+    jump = _of_last_jump(result)
     reasons, doubt = [*judgement.reasons, *([jump] if jump else [])], None
     if reasons:
         doubt = Doubt(*cause_and_action(clauses(reasons[0])[0]))
@@ -71,12 +69,10 @@ def judged(
         weakest = observability.weak[0]
         reasons.insert(0, f"too little motion: {weakest.sentence}")
         doubt = Doubt(f"too little motion to determine the {weakest.what}", weakest.remedy)
-    elif wrong := doubt_strength(IronScale.of(unvech(model.parameters[:6])).strength, None):
+    elif wrong := doubt_strength(IronScale.of(soft_iron).strength, None):
         reasons.insert(0, wrong)
         doubt = Doubt(*cause_and_action(wrong))
-    if (
-        np.linalg.eigvalsh(unvech(model.parameters[:6]))[0] <= 0
-    ):  # and −A and −g explain all readings as A and g do
+    if np.linalg.eigvalsh(soft_iron)[0] <= 0:  # and −A and −g explain all readings as A and g do
         reasons.insert(0, _MIRRORED)
         doubt = Doubt(*cause_and_action(_MIRRORED))
     told = [*reasons, calibration.message] if reasons else [calibration.message, judgement.remark]
@@ -95,13 +91,34 @@ def judged(
     return whole, doubt
 
 
-def _reaching(beyond: Refit, model: Model) -> Array:
-    """Return the covariance (13, 13) of a model's parameters by another one: its own and the squared distance."""
-    free, count = beyond.model.free, int(beyond.model.free.sum())
-    apart = beyond.model.parameters - model.parameters
-    result = np.outer(apart, apart)
-    result[np.ix_(free, free)] += beyond.covariance[:count, :count]
-    return result
+def _of_last_jump(result: Refit) -> str:
+    """Return why the iron after the last jump of a model is uncertain, with a remedy; "" if it is not.
+
+    After a jump the vehicle may not turn any more, as where it is put down or moored before the recording is stopped.
+    If the field of the place changed, and not the iron, the hard iron is what it was before.
+    """
+    jumps = [t for t in result.model.terms if t.name == "hard-iron-step" and "until" not in t.setting]
+    if not jumps:
+        return ""
+    last = max(jumps, key=lambda term: term.setting["time"])
+    time = last.setting["time"]
+    changed = float(np.linalg.norm(np.sum([term.value for term in jumps], axis=0)))
+    moved = float(turned(result.twin, np.array([time]), np.array([np.inf]))[0])
+    if moved > RULES.stay_turns or changed < RULES.taken_off * float(np.linalg.norm(last.value)):
+        return ""
+    return (
+        f"the hard iron jumped at {time:.0f} s, or the field of the place changed: turn a full circle after it, or "
+        "choose an interval without it (start=, end=)"
+    )
+
+
+def _reaching(result: Refit, model: Model) -> Array:
+    """Return the covariance (13, 13) of a model's parameters by a fit of it or of another one, and of the distance."""
+    free, count = result.model.free, int(result.model.free.sum())
+    apart = result.model.parameters - model.parameters
+    sensors = np.outer(apart, apart)
+    sensors[np.ix_(free, free)] += result.covariance[:count, :count]
+    return sensors
 
 
 def _misalignment_error(result: Refit, error: ModelError, strength: float) -> MisalignmentError | None:
