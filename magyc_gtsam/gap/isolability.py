@@ -92,12 +92,8 @@ class _Trials(NamedTuple):
 def _row(
     term: EffectTerm, trials: _Trials, weighed: Weighed, twin: Twin, random: np.random.Generator
 ) -> Isolability:
-    every = (
-        (b.rows[i], b.settings[i])
-        for b in trials.candidates.batches
-        for i, n in enumerate(b.names)
-        if n == term.name
-    )
+    batches = trials.candidates.batches
+    every = ((b.rows[i], b.settings[i]) for b in batches for i in b.places.get(term.name, ()))
     ordered = sorted(every, key=lambda one: one[0][0])  # as in the effect's grid
     rows, setting = ordered[len(ordered) // 2]
     columns, reach = trials.candidates.columns[rows], trials.reach[rows]

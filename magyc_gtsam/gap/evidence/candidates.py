@@ -69,10 +69,7 @@ class Candidates:
         """Prepare the effects `names`, with coloured noise, and families (None: all that the recording allows)."""
         every = families(twin) if among is None else among
         courses = [_courses(twin, COLOUR in names)] if among is None else []
-        return cls.of_parts(
-            twin,
-            [*_of_names(twin, names), *_of_families(twin, every), *courses],
-        )
+        return cls.of_parts(twin, [*_of_names(twin, names), *_of_families(twin, every), *courses])
 
     @classmethod
     def of_parts(cls, twin: Twin, stacks: Sequence[Stack]) -> Candidates:
@@ -128,11 +125,10 @@ def _batches(columns: Array, groups: Mapping[int, Sequence[Part]]) -> Iterator[B
 
 
 def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
-    for name in (name for name in names if name in TERMS):
-        if not TERMS[name].missing(twin):
-            settings = TERMS[name].settings(twin)
-            if settings:
-                yield at_settings(twin, name, settings)
+    for name in (name for name in names if name in TERMS and not TERMS[name].missing(twin)):
+        settings = TERMS[name].settings(twin)
+        if settings:
+            yield at_settings(twin, name, settings)
 
 
 def with_each_drift(model: Model, twin: Twin) -> tuple[list[Model], int]:
