@@ -19,8 +19,7 @@ from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.model.base import TooSmoothError
-from magyc_gtsam.gap.model.refit import refit, widened
-from magyc_gtsam.gap.naming.delay import with_free_delay
+from magyc_gtsam.gap.model.refit import refit, widened, with_free_delay
 from magyc_gtsam.gap.naming.named import Named, named
 from magyc_gtsam.gap.naming.steps import without_samples_of_steps
 from magyc_gtsam.gap.outcome.doubt import with_clipped, with_stuck_bit

@@ -21,8 +21,7 @@ from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import GapOfMany, LogLeftOut, SharedEffect, Weight
 from magyc_gtsam.gap.many.weighing import WeighedOverLogs, look_over
-from magyc_gtsam.gap.model.refit import refit, widened
-from magyc_gtsam.gap.naming.delay import with_free_delay
+from magyc_gtsam.gap.model.refit import refit, widened, with_free_delay
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.doubt import doubt_of_clipped, doubted, why_clipped
 from magyc_gtsam.gap.outcome.judged import judged

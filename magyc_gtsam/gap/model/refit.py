@@ -187,3 +187,21 @@ def without_term(model: Model, index: int) -> Model:
     free, parameters = model.free.copy(), model.parameters.copy()
     free[DELAY], parameters[DELAY] = False, 0.0
     return replace(model, free=free, parameters=parameters, terms=terms)
+
+
+def with_free_delay(model: Model) -> Model:
+    """Return a model with named effects with a free delay, unless one of them contains the delay.
+
+    At a constant spin a delay is a rotation about its axis, as a misalignment is. Fixed at 0, it would be taken for one
+    of the named effects with sigmas that do not hold; `calibrate` estimates it in any case, too. A model without any
+    effect remains without a delay: the misalignment that is then estimated beside it includes the rotation by a delay.
+    """
+    if not model.terms or any(_contains_delay(term.name) for term in model.terms):
+        return model
+    free = model.free.copy()
+    free[DELAY] = True
+    return replace(model, free=free)
+
+
+def _contains_delay(name: str) -> bool:
+    return name == "timing" or any(_contains_delay(special) for special in TERMS[name].contains)
