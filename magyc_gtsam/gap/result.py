@@ -201,7 +201,7 @@ class Gap:
         next_manoeuvre: the motion that would tell more; None if there is nothing to distinguish.
         doubt: why the calibration must not be used, and the remedy; None if it may be used.
         probabilities: posterior probability of every name, of "field-variation" (the field of the place varies), of
-            "unknown" (something outside the catalogue, at least 0.015) and of "nothing"; empty if nothing was tested.
+            "unknown" (something outside the catalogue, at least 0.005) and of "nothing"; empty if nothing was tested.
         diagnostics: details of the run: "windows", "seconds", "leftover", "left_out" (faults of sensors), …
     """
 
