@@ -143,7 +143,7 @@ def _confused(name: str, trials: _Trials, signatures: Array, random: np.random.G
     seen = best > ENOUGH
     as_good = {other: int((seen & (each > best - _AS_GOOD)).sum()) for other, each in nats.items()}
     # A general case with the values of the special one is not named.
-    others = {other for other in nats if other != name and name not in TERMS[other].contains}
+    others = [other for other in nats if other != name and name not in TERMS[other].contains]
     often, count = Counter({other: as_good[other] for other in others}), int(seen.sum())
     return {other: times / count for other, times in often.most_common() if times > RULES.confused * count}
 

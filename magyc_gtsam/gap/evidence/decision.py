@@ -13,7 +13,7 @@ def marginals(posterior: Mapping[Set, float]) -> dict[str, float]:
     """Return {name, `UNKNOWN` or `NOTHING`: probability}, the most probable first."""
     result = {NOTHING: 0.0, UNKNOWN: 0.0}
     for (names, unknown), probability in posterior.items():
-        for name in set(names):
+        for name in dict.fromkeys(names):
             result[name] = result.get(name, 0.0) + probability
         if unknown:
             result[UNKNOWN] += probability

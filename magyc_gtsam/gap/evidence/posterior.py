@@ -127,7 +127,9 @@ def _families(tree: Tree, node: Node, powers: Mapping[str, float]) -> tuple[floa
 
 def _products(node: Node, powers: Mapping[str, float]) -> Iterator[tuple[float, float]]:
     """Yield nats and power of products of an effect with another signal in its place; all are equally probable."""
-    for name in {product_of(each) for each in node.found} - {None, *node.names}:
+    for name in dict.fromkeys(product_of(each) for each in node.found):  # in one order, since sums are rounded
+        if name is None or name in node.names:
+            continue
         found = [each for each in node.found.values() if product_of(each.name) == name]
         log, power = _above(found, [_deviation(node, powers, each) for each in found])
         yield PRIOR.named + PRIOR.product + log - float(np.log(len(found))), power
