@@ -17,7 +17,7 @@ from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.evidence.answer import Answer, answer
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
-from magyc_gtsam.gap.evidence.posterior import Set, weights
+from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.field_variation import field_variation
@@ -64,12 +64,6 @@ def test_an_effect_that_is_probable_in_sets_that_were_not_fitted_is_named(looked
     gap = gap_by((first, replace(said, tree=tree), noise), said.posterior)
     assert gap.names == ("timing",)
     assert gap.verdict == "closed"
-
-
-def test_a_set_has_no_special_case_beside_the_general_one(looked: Looked) -> None:
-    """Unequal delays contain a delay; of sets that were not fitted, too."""
-    every = weights(looked[1].tree)
-    assert not [each.names for each in every if {"timing", "axis-delays"} <= {*each.names}]
 
 
 def test_an_improbable_effect_is_not_named(looked: Looked) -> None:

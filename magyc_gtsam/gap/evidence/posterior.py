@@ -59,8 +59,7 @@ def _weights_of(tree: Tree, node: Node) -> Iterator[SetWeight]:
     if node.variation is not None and not powers.keys() - {FIELD_VARIATION, COLOUR}:  # whatever the field absorbs
         yield _with_sensor(node, known)
     for each in node.found.values():  # sets that were not fitted, in linearised form
-        more = each.name in TERMS and each.name not in node.names and not node.full(each.name)
-        if more and node.key_with(each.name) not in tried:
+        if each.name in TERMS and each.name not in node.names and node.key_with(each.name) not in tried:
             with_it = {**powers, each.name: powers.get(each.name, 0.0) + _above([each], [0.0])[1]}
             yield SetWeight(tuple(sorted({*key, each.name})), node.log + PRIOR.named + each.log, None, with_it)
 
