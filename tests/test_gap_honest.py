@@ -17,6 +17,9 @@ from magyc_gtsam.gap.preparation.discrete import noiseless
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.report import gap_verdict
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.scoring import score
+from magyc_gtsam.study.faults.signals import record
 
 # What a response that is not straight may be taken for; that each is found among all is in `test_gap_rates`.
 BENDS = ["saturation", "cubic", "hysteresis", "eddy-plane", "timing", "misalignment"]
@@ -261,3 +264,13 @@ def test_noise_that_cannot_measure_a_misfit_is_not_enough(
     assert gap.doubt is not None
     assert "interpolated onto the rows" in gap.doubt.cause
     assert not gap.calibration.trusted
+
+
+@pytest.mark.parametrize("seed", [35103, 35110, 35111])
+def test_what_a_walk_has_beyond_a_drift_is_in_the_sigmas(seed: int) -> None:
+    """Six of 16 results were wrong at the end of the log, by up to 4.7 sigmas."""
+    fault = FAULTS["offset-walk"]
+    log = record("low", seed, fault, fault.strong, "offset-walk")
+    gap = mg.find_gap(log.recording("walk"))
+    assert "hard-iron-drift" in gap.names
+    assert score(gap.calibration, end=float(log.field_time[-1])).outcome == "right and trusted"

@@ -31,6 +31,8 @@ from magyc_gtsam.level_turn import MisalignmentError
 from magyc_gtsam.recording import Recording
 
 _MIRRORED = "the fit with the effects ended at a mirrored field: choose an interval without them (start=, end=)"
+_HARD_IRON = slice(6, 9)  # of the parameters
+_OF_ALL_MODES = np.pi**2 / 6  # sum of 1 / k²
 _SKEW = "misalignment"  # the term that is the skew of the chips, which is then not estimated a second time
 
 
@@ -54,6 +56,7 @@ def judged(
     if all(term.name != _SKEW for term in model.terms):
         fit = fit.with_skew_estimate(skew_from_score(fit, AUTOMATIC))
     sensors = _reaching(beyond or result, model)
+    sensors[_HARD_IRON, _HARD_IRON] += _faster_walk(result) * np.eye(3)
     if fit.skew is not None:
         sensors += fit.skew.gain @ fit.skew.covariance @ fit.skew.gain.T
     known, error = Posterior(model.parameters, sensors, fit.skew), model_error(fit, recording)
@@ -119,6 +122,24 @@ def _reaching(result: Refit, model: Model) -> Array:
     sensors = np.outer(apart, apart)
     sensors[np.ix_(free, free)] += result.covariance[:count, :count]
     return sensors
+
+
+def _faster_walk(result: Refit) -> float:
+    """Return the variance of an axis of the hard iron at the end, T², by the modes of a walk that a drift lacks.
+
+    The cosines of half periods are the modes of a random walk, that of order k with a variance of q / k². Those of the
+    drift give q, and the faster ones, which are in no term, add up at the end to that of all beyond its order.
+    """
+    variance = 0.0
+    for index, term in enumerate(result.model.terms):
+        order = int(term.setting.get("order", 0))
+        if term.name != "hard-iron-drift" or not order:
+            continue
+        value, covariance = result.value_of(index)
+        of_modes = 1 / np.arange(1.0, order + 1) ** 2
+        walk = max(float((value**2 - np.diag(covariance)).sum()), 0.0) / (3 * of_modes.sum())
+        variance += walk * (_OF_ALL_MODES - float(of_modes.sum()))
+    return variance
 
 
 def _misalignment_error(result: Refit, error: ModelError, strength: float) -> MisalignmentError | None:
