@@ -83,6 +83,10 @@ def test_beside_magnets_nothing_but_the_field_is_named() -> None:
     assert "more than 10% of its strength: smaller effects cannot be told; choose an interval" in gap.sentence
     assert gap.verdict == "open"
     assert not gap.calibration.trusted
+    assert gap.doubt is not None
+    assert gap.doubt.action == "choose an interval (start=, end=), or a place away from magnets and steel"
+    assert gap.next_manoeuvre is not None
+    assert gap.doubt.action in gap.next_manoeuvre.sentence
 
 
 @pytest.mark.parametrize("motion", ["wide", "multi"])

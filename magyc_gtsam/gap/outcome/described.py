@@ -13,6 +13,7 @@ from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.naming.named import Found, term_places
+from magyc_gtsam.gap.outcome.doubt import DISTURBED
 from magyc_gtsam.gap.outcome.step_time import step_time_sigmas
 from magyc_gtsam.gap.result import Effect
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
@@ -72,10 +73,8 @@ def _noise_sentence(noise: NoiseScore, gyroscope_axes: str) -> str:
     if noise.name == FIELD_VARIATION:
         varies = f"the field of the place varies by {value * 1e6:.2g} µT along the way and with attitude"
         if setting["share"] > MOST_UNEXPLAINED:
-            return (
-                f"{varies}, more than {MOST_UNEXPLAINED:.0%} of its strength: smaller effects cannot be told; "
-                "choose an interval (start=, end=), or a place away from magnets and steel"
-            )
+            most = f"more than {MOST_UNEXPLAINED:.0%} of its strength"
+            return f"{varies}, {most}: smaller effects cannot be told; {DISTURBED.action}"
         return f"{varies}: sigmas allow for it, and no calibration takes it out"
     if noise.name == "sample-hold":
         return f"the magnetometer repeats {setting['share']:.0%} of its rows; held rows were left out"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.reasons import MOST_UNEXPLAINED
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Manoeuvre
 from magyc_gtsam.gap.rules import RULES
@@ -22,6 +23,10 @@ APART = (
 APART_IN_BRIEF = Doubt(
     "the delay between the sensors changes with time, as where their clocks drift apart",
     "begin with the calibration of `mg.calibrate`, by the `clock_drift` that it says (calibration=)",
+)
+DISTURBED = Doubt(
+    f"the field of the place varies by more than {MOST_UNEXPLAINED:.0%} of its strength",
+    "choose an interval (start=, end=), or a place away from magnets and steel",
 )
 _WITHOUT = "choose an interval without the jumps (start=, end=)"
 

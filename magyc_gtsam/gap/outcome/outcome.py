@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.reasons import MOST_UNEXPLAINED
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.effects import LABELS, MOMENTS, TERMS
@@ -18,7 +19,7 @@ from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, wide
 from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found, Named, as_found, term_places
 from magyc_gtsam.gap.outcome.corrected import as_calibration, given_strength, unmoved
 from magyc_gtsam.gap.outcome.described import describe
-from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, doubted, left_open, remedy, with_doubt
+from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, DISTURBED, doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
@@ -141,6 +142,8 @@ def gap_of(
         return replace(gap, doubt=untrusted, next_manoeuvre=remedy(untrusted, "to trust the calibration"))
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
+    if any(e.name == FIELD_VARIATION and e.setting["share"] > MOST_UNEXPLAINED for e in effects):
+        return with_doubt(replace(gap, next_manoeuvre=remedy(DISTURBED, "to name anything else")), DISTURBED)
     if result.unsure and not effects:
         return with_doubt(gap, doubt_whether(result.unsure))
     missing = place_of(result.leftover[0], base.twin) if result.leftover else ""
