@@ -175,9 +175,9 @@ class Tree:
         return self.best is not best
 
     def _joined(self) -> bool:
-        """Take two changes of the best set, until one time and from another one on, for one between these times.
+        """Take two changes of the best set, until one time and from another one on, for one; return whether one is.
 
-        Return whether a better set was found: it has half as many values if both are the same.
+        If both have the same value, one has half as many.
         """
         best = self.best
         time = best.fit.twin.time

@@ -87,7 +87,7 @@ class FieldVariation:
         return float(np.hypot(self.along, self.attitude))
 
     def share_of(self, twin: Twin) -> float:
-        """Return that relative to the strength of the field in a model, which is at most a plausible one."""
+        """Return its size relative to the strength of the field in a model, or to the largest plausible one."""
         strength = float(np.sqrt((twin.windows.need("field") ** 2).sum(axis=0).mean()))
         return self.size / min(strength, PLAUSIBLE_FIELD[1])
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.reasons import MOST_UNEXPLAINED
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.effects import LABELS, MOMENTS, TERMS
@@ -142,7 +141,7 @@ def gap_of(
         return replace(gap, doubt=untrusted, next_manoeuvre=remedy(untrusted, "to trust the calibration"))
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
-    if any(e.name == FIELD_VARIATION and e.setting["share"] > MOST_UNEXPLAINED for e in effects):
+    if result.tree.best.disturbed:
         return with_doubt(replace(gap, next_manoeuvre=remedy(DISTURBED, "to name anything else")), DISTURBED)
     if result.unsure and not effects:
         return with_doubt(gap, doubt_whether(result.unsure))
