@@ -175,9 +175,9 @@ class Tree:
         return self.best is not best
 
     def _joined(self) -> bool:
-        """Take two changes of the best set, until one time and from another one on, for one; return whether one is.
+        """Replace two changes of the best set, until one time and from another one on, by one.
 
-        If both have the same value, one has half as many.
+        If both have the same value, one has half as many. Return whether a better set was found.
         """
         best = self.best
         time = best.fit.twin.time
