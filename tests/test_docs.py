@@ -24,6 +24,28 @@ def test_readme_is_short() -> None:
         assert (ROOT / target).exists(), target
 
 
+def test_links_of_the_other_files_lead_somewhere() -> None:
+    for name in ("SECURITY.md", "CONTRIBUTING.md"):
+        for target in re.findall(r"\]\(([^)]+)\)", (ROOT / name).read_text(encoding="utf-8")):
+            file, _, heading = target.partition("#")
+            assert (ROOT / file).exists(), target
+            assert not heading or heading in _headings(ROOT / file), target
+
+
+def test_every_group_of_promises_has_its_measurements_in_the_same_order() -> None:
+    page, measured = ROOT / "docs" / "reliability.md", ROOT / "docs" / "reliability_measured.md"
+    text = page.read_text(encoding="utf-8")
+    assert len(text.split()) <= 1300  # it is read to the end
+    groups = re.findall(r"^\*\*\[.+\]\(reliability_measured\.md#([\w-]+)\)\*\*$", text, re.MULTILINE)
+    assert len(groups) > 5
+    assert _headings(measured) == ["how-it-is-counted", *groups, "not-promised"]
+
+
+def _headings(page: Path) -> list[str]:
+    titles = re.findall(r"^## (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return [re.sub(r"[^\w]+", "-", title.lower()) for title in titles]
+
+
 def test_the_documents_count_the_effects() -> None:
     for name in ("README.md", "CHANGELOG.md"):
         words = " ".join((ROOT / name).read_text(encoding="utf-8").split())
