@@ -43,6 +43,7 @@ CATALOGUE = [
     "misalignment",
     "timing",
     "axis-delays",
+    "clock-drift",
     "eddy-plane",
     "gyro-scale",
     "gyro-quadratic",

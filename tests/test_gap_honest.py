@@ -96,28 +96,37 @@ def test_a_calibration_with_its_effects_closes_the_gap_again() -> None:
     assert mg.find_gap(clipped, calibration=gap.calibration, candidates=BENDS).verdict == "none"
 
 
-CLOCK = ["timing", "eddy-plane", "gyro-scale", "hard-iron-drift"]
+CLOCK = ["timing", "clock-drift", "eddy-plane", "gyro-scale", "hard-iron-drift"]
 
 
-def test_clocks_that_drift_apart_leave_the_gap_open() -> None:
-    """By 0.36 s over the recording; most of these gaps say why. Of 0.12 s half pass for a delay (docs/limits.md)."""
-    said = 0
-    for seed in (100, 101):
-        recording = mg.simulate("wide", 120, seed=seed).recording
-        assert recording.angular_rate is not None
-        slow = recording.time * (1 - 3e-3)
-        drifting = mg.Recording.from_streams(
-            (slow, recording.magnetic_field), (recording.time, recording.angular_rate)
-        )
-        gap = mg.find_gap(drifting, candidates=CLOCK)
-        assert gap.verdict in ("open", "unknown"), seed
-        said += "the delay between the sensors changes with time" in gap.sentence
-        measured = mg.calibrate(drifting).diagnostics["clock_drift"][0]
-        again = mg.find_gap(drifting, mg.calibrate(drifting, clock_drift=measured), candidates=CLOCK)
-        assert again.verdict in ("none", "closed"), again.sentence
-        assert again.calibration.trusted, again.calibration.message
-        assert again.calibration.configuration["clock_drift"] == measured
-    assert said == 2
+def drifting(recording: mg.Recording, growth: float, late: float = 0.0) -> mg.Recording:
+    """Stamp the magnetometer late, by `late` s halfway and by `growth` s more at the end than at the beginning."""
+    assert recording.angular_rate is not None
+    share = (recording.time - recording.time[0]) / (recording.time[-1] - recording.time[0])
+    stamps = recording.time + late + growth * (share - 0.5)
+    return mg.Recording.from_streams((stamps, recording.magnetic_field), (recording.time, recording.angular_rate))
+
+
+@pytest.mark.parametrize(("growth", "late"), [(-0.36, 0.0), (0.12, 0.35)])
+def test_clocks_that_drift_apart_are_named_and_corrected(growth: float, late: float) -> None:
+    recording = mg.simulate("wide", 300, seed=100).recording
+    gap = mg.find_gap(drifting(recording, growth, late), candidates=CLOCK)
+    assert gap.verdict == "closed"
+    found = {effect.name: effect for effect in gap.effects}
+    assert found.keys() == {"clock-drift"} | ({"timing"} if late else set())
+    drift = found["clock-drift"]
+    assert abs(drift.value[0] - 1e3 * growth) < 3 * drift.sigma[0] < 60
+    assert f"clock {'gains' if growth > 0 else 'loses'} 0." in drift.sentence
+    assert gap.calibration.trusted, gap.calibration.message
+
+
+def test_a_clock_drift_that_calibrate_measured_is_taken_out() -> None:
+    late = drifting(mg.simulate("wide", 120, seed=101).recording, -0.36)
+    measured = mg.calibrate(late).diagnostics["clock_drift"][0]
+    gap = mg.find_gap(late, mg.calibrate(late, clock_drift=measured), candidates=CLOCK)
+    assert gap.verdict == "none", gap.sentence
+    assert gap.calibration.trusted, gap.calibration.message
+    assert gap.calibration.configuration["clock_drift"] == measured
 
 
 def test_another_log_may_contradict(

@@ -182,6 +182,20 @@ def test_delays_of_axes_read_each_at_its_own_time() -> None:
     np.testing.assert_allclose(form.derivatives(at, np.zeros(3), {}), form.columns(at, {}), atol=1e-12)
 
 
+def test_a_delay_that_grows_reads_each_sample_at_its_own_time() -> None:
+    """Of a delay that grows from −150 to 150 ms in turns of 3 rad/s nothing remains, nor of its derivative."""
+    time = np.linspace(0, 20, 401)
+    at, _ = late_axes(3.0, np.zeros(3), time)
+    growth, setting, form = np.array([0.3]), {"start": 0.0, "end": 20.0}, FORMS["clock-drift"]
+    late = growth * (time / 20 - 0.5)
+    alone = [late_axes(3.0, np.full(3, each), time)[1][:, index] for index, each in enumerate(late)]
+    np.testing.assert_allclose(form.evaluate(at, growth, setting), np.transpose(alone), atol=1e-12)
+    step = 1e-6
+    more, less = (form.evaluate(at, growth + way, setting) for way in (step, -step))
+    np.testing.assert_allclose(form.derivatives(at, growth, setting)[0], (more - less) / (2 * step), atol=1e-9)
+    np.testing.assert_allclose(form.derivatives(at, np.zeros(1), setting), form.columns(at, setting), atol=1e-12)
+
+
 def test_late_axes_are_corrected_without_adding_noise() -> None:
     """From sample to sample at 200 Hz; a correction to second order diverged."""
     delay, time = np.array([0.05, 0.2, 0.08]), np.linspace(0, 20, 4001)

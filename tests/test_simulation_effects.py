@@ -44,7 +44,7 @@ def test_the_names_are_those_of_the_catalogue():
         "motor-current temperature-hard-iron hard-iron-step hard-iron-drift misalignment timing eddy-plane "
         "gyro-scale gyro-quadratic temperature-gyro g-sensitivity field-gradient local-anomaly saturation cubic "
         "hysteresis coloured-noise spikes tone quantisation sample-hold axis-order current-squared load-soft-iron "
-        "soft-iron-step temperature-gain gain-drift gyro-bias-step gyro-bias-drift axis-delays"
+        "soft-iron-step temperature-gain gain-drift gyro-bias-step gyro-bias-drift axis-delays clock-drift"
     )
     assert len(FOREIGN) >= 4
     assert set(EFFECTS) == set(STRENGTHS) == {*NAMED, *FOREIGN}

@@ -120,15 +120,21 @@ def gain_drift(s: Signals, setting: Setting) -> Array:
     return per_axis(_course(s, setting)) * _reading(s)
 
 
+def line(s: Signals, setting: Setting) -> Array:
+    """Return a line (n,) that grows by 1 from `start` to `end`, and is 0 halfway."""
+    result: Array = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"]) - 0.5
+    return result
+
+
 def _course(s: Signals, setting: Setting) -> Array:
-    share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
-    order = int(setting["order"])
+    straight, order = line(s, setting), int(setting["order"])
+    share = np.clip(straight + 0.5, 0.0, 1.0)
     if order == 0:
-        if "constant" in setting:
-            reach = (setting["end"] - setting["start"]) / setting["constant"]
-            share = np.expm1(-reach * np.clip(share, 0.0, 1.0)) / np.expm1(-reach)
-        return np.asarray(share[None] - 0.5)
-    cosine = np.cos(np.pi * np.clip(share, 0.0, 1.0))
+        if "constant" not in setting:
+            return straight[None]
+        reach = (setting["end"] - setting["start"]) / setting["constant"]
+        return np.asarray(np.expm1(-reach * share) / np.expm1(-reach) - 0.5)[None]
+    cosine = np.cos(np.pi * share)
     return np.asarray(chebvander(cosine, order).T[1:])  # of order k: cos k φ
 
 

@@ -20,6 +20,7 @@ MOMENTS = (
     "hard-iron-drift",
     "gain-drift",
     "local-anomaly",
+    "clock-drift",
 )
 DATED = (*MOMENTS, "tone")  # which has a phase
 _JUMPS = ("hard-iron-step", "soft-iron-step", "gyro-bias-step")

@@ -1,9 +1,9 @@
 """The extra effects of the gap workflow: the contribution of each to a sensor's reading.
 
-A form is linear in its value, reading = base model + Σ value_k · column_k, except for a rotation of axes and for delays
-of single axes. The columns are a function of the available signals (time, field, rate, other channels) and of a
-setting that was searched over (the time of a step, the frequency of a tone). The same forms serve the evidence, the
-joint refit, the GTSAM factor (`effect_chain_factor`) and `Calibration.apply`.
+A form is linear in its value, reading = base model + Σ value_k · column_k, except for a rotation of axes, delays of
+single axes and a delay that grows. The columns are a function of the available signals (time, field, rate, other
+channels) and of a setting that was searched over (the time of a step, the frequency of a tone). The same forms serve
+the evidence, the joint refit, the GTSAM factor (`effect_chain_factor`) and `Calibration.apply`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matric
 from magyc_gtsam.factors.effects import changes
 from magyc_gtsam.factors.effects.changes import Setting, per_axis
 from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
+from magyc_gtsam.factors.effects.turning import Grows
 from magyc_gtsam.factors.errors import MagycError
 
 _COERCIVE = (np.arange(8) + 0.5) / 8  # coercive fields of the pieces of a hysteresis, relative to the largest
@@ -35,7 +36,7 @@ class Form(NamedTuple):
     columns: Callable[[Signals, Setting], Array]
     rotates: bool = False  # the value is a rotation vector that is applied to the rate exactly, not to first order
     # The contribution (3, n) of a value and its derivatives (k, 3, n), of a form that is not linear in its value.
-    exact: Callable[[Signals, Array], tuple[Array, Array]] | None = None
+    exact: Callable[[Signals, Array, Setting], tuple[Array, Array]] | None = None
     remembers: bool = False  # its columns at one sample depend on other samples, too
 
     def evaluate(self, signals: Signals, value: Array, setting: Setting) -> Array:
@@ -50,13 +51,13 @@ class Form(NamedTuple):
                 "recording must have the same channels as the one that was calibrated"
             )
         if self.exact is not None:
-            return self.exact(signals, np.asarray(value, dtype=float))[0]
+            return self.exact(signals, np.asarray(value, dtype=float), setting)[0]
         result: Array = np.tensordot(np.asarray(value, dtype=float), columns, axes=1)
         return result
 
     def derivatives(self, signals: Signals, value: Array, setting: Setting) -> Array:
         """Return the derivatives (k, 3, n) of the contribution with respect to the value."""
-        return self.columns(signals, setting) if self.exact is None else self.exact(signals, value)[1]
+        return self.columns(signals, setting) if self.exact is None else self.exact(signals, value, setting)[1]
 
 
 def _misalignment(s: Signals, setting: Setting) -> Array:
@@ -72,17 +73,32 @@ def _axis_delays(s: Signals, setting: Setting) -> Array:
     return -np.eye(3)[:, :, None] * s.need("field_rate")
 
 
-def _earlier_attitudes(s: Signals, delay: Array) -> tuple[Array, Array]:
+def _earlier_axes(s: Signals, delay: Array, setting: Setting) -> tuple[Array, Array]:
     """Return what delays (3,) of the axes add to the reading (3, n), and its derivatives (3, 3, n)."""
-    field, soft = s.need("field"), s.need("soft_iron")
-    true = np.linalg.solve(soft, field)
+    field = s.need("field")
     added, slope = np.zeros_like(field), np.zeros((3, *field.shape))
     for axis, late in enumerate(delay):
-        turn, rate = s.turns.within(float(late))
-        earlier = np.einsum("ijn,jn->in", exponential_matrices(turn), true)
-        added[axis] = soft[axis] @ earlier - field[axis]
-        slope[axis, axis] = soft[axis] @ cross(rate, earlier)
+        reading, change = _earlier(s, float(late))
+        added[axis], slope[axis, axis] = reading[axis] - field[axis], change[axis]
     return added, slope
+
+
+def _earlier(s: Signals, delay: float, grows: Grows = None) -> tuple[Array, Array]:
+    """Return the field (3, n) as read at the attitude of `delay` s ago, and its derivative (3, n) by the delay."""
+    soft = s.need("soft_iron")
+    turn, rate = s.turns.within(delay, grows)
+    then = np.einsum("ijn,jn->in", exponential_matrices(turn), np.linalg.solve(soft, s.need("field")))
+    return soft @ then, soft @ cross(rate, then)
+
+
+def _clock_drift(s: Signals, setting: Setting) -> Array:
+    return -(s.need("field_rate") * changes.line(s, setting))[None]
+
+
+def _by_another_clock(s: Signals, delay: Array, setting: Setting) -> tuple[Array, Array]:
+    """Return what a delay that grows by a value (1,) adds to the reading (3, n), and its derivative (1, 3, n)."""
+    reading, change = _earlier(s, float(delay[0]), (setting["start"], setting["end"]))
+    return reading - s.need("field"), (change * changes.line(s, setting))[None]
 
 
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
@@ -248,7 +264,10 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
         "timing": Form("magnetometer", ("field_rate",), _timing),
         "axis-delays": Form(
-            "magnetometer", ("time", "rate", "field_rate"), _axis_delays, exact=_earlier_attitudes, remembers=True
+            "magnetometer", ("time", "rate", "field_rate"), _axis_delays, exact=_earlier_axes, remembers=True
+        ),
+        "clock-drift": Form(
+            "magnetometer", ("time", "rate", "field_rate"), _clock_drift, exact=_by_another_clock, remembers=True
         ),
         "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
         "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),

@@ -10,7 +10,9 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 
-_KEPT = 3  # delays, one of each axis
+_KEPT = 4  # delays: one of each axis, and one that grows
+
+Grows = tuple[float, float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,19 +29,24 @@ class Turning:
     rate: Array
     rows: Array
     mean: Callable[[Array], Array] = lambda values: values
-    _known: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
+    _known: dict[tuple[float, Grows], tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
-    def within(self, delay: float) -> tuple[Array, Array]:
+    def within(self, delay: float, grows: Grows = None) -> tuple[Array, Array]:
         """Return the integral (3, n) of the rate over the last `delay` s, rad, and the rate (3, n), rad/s, before it.
 
         Before the first sample the rate is that of the first. A model asks for the same delays several times.
+
+        Args:
+            delay: s.
+            grows: (start, end) s, between which the delay grows by `delay`, and is 0 halfway; None if it is constant.
         """
-        if delay not in self._known:
-            then, rate = self._until(self.rows - delay)
-            self._known[delay] = self.mean(self._now - then), self.mean(rate)
+        if (delay, grows) not in self._known:
+            share = 1.0 if grows is None else (self.rows - grows[0]) / (grows[1] - grows[0]) - 0.5
+            then, rate = self._until(self.rows - delay * share)
+            self._known[delay, grows] = self.mean(self._now - then), self.mean(rate)
             for oldest in list(self._known)[:-_KEPT]:
                 del self._known[oldest]
-        return self._known[delay]
+        return self._known[delay, grows]
 
     @cached_property
     def _now(self) -> Array:

@@ -26,6 +26,7 @@ TERMS: dict[str, EffectTerm] = {
         alignment.MISALIGNMENT,
         alignment.TIMING,
         alignment.AXIS_DELAYS,
+        alignment.CLOCK_DRIFT,
         alignment.EDDY_PLANE,
         gyroscope.SCALE,
         gyroscope.QUADRATIC,

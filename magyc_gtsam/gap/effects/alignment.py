@@ -53,6 +53,10 @@ def _unequal(twin: Twin, value: Array, setting: Setting) -> bool:
     return float(np.square(value - value.mean()).sum()) > RULES.unequal * float(np.square(value).sum())
 
 
+def _whole_recording(twin: Twin) -> list[dict[str, float]]:
+    return [{"start": float(twin.time[0]), "end": float(twin.time[-1])}]
+
+
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
     angle = np.rad2deg(np.linalg.norm(value) * 1e-3)
     return f"the magnetometer is mounted {angle:.2f}° out of line with the gyroscope, about {vector(value, sigma)} mrad"
@@ -65,6 +69,15 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_axis_delays(value: Array, sigma: Array, setting: Setting) -> str:
     return f"the magnetometer's axes lag the gyroscope by {vector(value, sigma)} ms on x, y, z"
+
+
+def _say_clock_drift(value: Array, sigma: Array, setting: Setting) -> str:
+    gains = "gains" if value[0] >= 0 else "loses"
+    share = 0.1 / (setting["end"] - setting["start"])  # % for each ms
+    return (
+        f"the magnetometer's clock {gains} {measured(share * abs(value[0]), share * sigma[0])} % on the gyroscope's: "
+        f"its delay changes by {vector(value, sigma)[1:-1]} ms over the recording"
+    )
 
 
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
@@ -128,6 +141,22 @@ AXIS_DELAYS = EffectTerm(
     motion="turn fast about all three axes, not about the vertical only",
     possible=_unequal,
     contains=("timing",),
+)
+CLOCK_DRIFT = EffectTerm(
+    name="clock-drift",
+    label="clocks of the two sensors that drift apart",
+    physics=(
+        "Two recorders, or a sensor that stamps its own samples, have clocks that differ by some parts in ten "
+        "thousand. The delay between the sensors then grows over the recording, beside its mean, which is a "
+        "`timing`. Where the vehicle turns fast for a part of the log only, the two resemble each other."
+    ),
+    unit="ms",
+    matters=5e-3,
+    rivals=("timing", "axis-delays", "gyro-bias-drift"),
+    parameters=("growth of the delay",),
+    say=_say_clock_drift,
+    motion="turn fast at the beginning and at the end of a longer recording",
+    settings=_whole_recording,
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",

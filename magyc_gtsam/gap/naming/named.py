@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant
-from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
@@ -35,7 +34,6 @@ from magyc_gtsam.recording import Recording
 
 _EXPLAIN = {*TERMS, FIELD_VARIATION}  # names that explain a misfit; others describe the noise
 LINES = "spectral-lines"  # that never end, and are no tones
-CLOCK_DRIFT = "clock-drift"  # of the two sensors: not an effect of the catalogue, but detected and reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +64,7 @@ class Named:
         fitted: the model with the effects.
         found: the effects; those that are terms in the order of the model's (`term_places`).
         leftover: names of what else is present: the most probable family without a physical meaning, or `LINES` if they
-            are more probable, and drifting clocks.
+            are more probable.
         probabilities: the posterior's, of all names.
         unsure: {name or `UNKNOWN`: probability} of what may be present beside them, the most probable first; empty if
             nothing is missing, or if it is probable enough that it is outside the catalogue.
@@ -118,8 +116,6 @@ def named(said: Answer, first: First, short_term: SensorNoise) -> Named:
     left = _family(said) if of_catalogue + outside > PRIOR.missing_from else ()
     absent = {n: p for n, p in stated.items() if n in {*_EXPLAIN, UNKNOWN} - told and p > PRIOR.improbable}
     unsure = absent if left and outside <= PRIOR.missing_from and absent.keys() & TERMS.keys() else {}
-    if _drift_apart(fitted) or (left and "timing" not in rivals and _drift_apart(_best(said.tree, short_term))):
-        left = (CLOCK_DRIFT, *left)
     return Named(said.recording, first, said.tree, fitted, tuple(found), left, stated, unsure)
 
 
@@ -196,11 +192,6 @@ def _each_once(terms: Iterable[Active]) -> tuple[Active, ...]:
     return tuple({(term.name, *sorted(term.setting.items())): term for term in terms}.values())
 
 
-def _best(tree: Tree, short_term: SensorNoise) -> Refit:
-    """Return the most probable model, whatever of it is named."""
-    return refit(_uncoloured(tree.best), tree.best.fit.model, short_term)
-
-
 def _uncoloured(node: Node) -> Problem:
     """Return the data of a set, of which the calibration takes the noise to be white and widens its covariance."""
     return replace(node.fit.twin.problem, colour=None)
@@ -268,11 +259,3 @@ def _family(said: Answer) -> tuple[str, ...]:
     if np.isfinite(said.unsteady):
         families[LINES] = said.unsteady
     return tuple(sorted(families, key=lambda name: -families[name])[:1])
-
-
-def _drift_apart(current: Refit) -> bool:
-    """Return whether the delay of a model grows with time, by the test of `smoother`."""
-    twin = current.twin
-    if not twin.model.free[DELAY]:
-        return False
-    return drift_is_significant(twin.fit())

@@ -16,14 +16,6 @@ from magyc_gtsam.sensor_faults.full_scale import ClippedField
 from magyc_gtsam.sensor_faults.stuck_bit import StuckBit
 
 LOG_MORE = "log current, temperature and depth"
-APART = (
-    "the delay between the sensors changes with time, as where their clocks drift apart: `calibrate` says by how much, "
-    "and a calibration with `clock_drift` takes it out"
-)
-APART_IN_BRIEF = Doubt(
-    "the delay between the sensors changes with time, as where their clocks drift apart",
-    "begin with the calibration of `mg.calibrate`, by the `clock_drift` that it says (calibration=)",
-)
 DISTURBED = Doubt(
     f"the field of the place varies by more than {MOST_UNEXPLAINED:.0%} of its strength",
     "choose an interval (start=, end=), or a place away from magnets and steel",

@@ -15,10 +15,10 @@ from magyc_gtsam.gap.effects.world import ANOMALY
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
-from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, Found, Named, as_found, term_places
+from magyc_gtsam.gap.naming.named import Found, Named, as_found, term_places
 from magyc_gtsam.gap.outcome.corrected import as_calibration, given_strength, unmoved
 from magyc_gtsam.gap.outcome.described import describe
-from magyc_gtsam.gap.outcome.doubt import APART_IN_BRIEF, DISTURBED, doubted, left_open, remedy, with_doubt
+from magyc_gtsam.gap.outcome.doubt import DISTURBED, doubted, left_open, remedy, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
@@ -139,8 +139,6 @@ def gap_of(
         if untrusted is None:
             return gap
         return replace(gap, doubt=untrusted, next_manoeuvre=remedy(untrusted, "to trust the calibration"))
-    if CLOCK_DRIFT in result.leftover:
-        return with_doubt(gap, APART_IN_BRIEF)
     if result.tree.best.disturbed:
         return with_doubt(replace(gap, next_manoeuvre=remedy(DISTURBED, "to name anything else")), DISTURBED)
     if result.unsure and not effects:

@@ -9,9 +9,8 @@ from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import label_of, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.naming.named import CLOCK_DRIFT, LINES, Found
+from magyc_gtsam.gap.naming.named import LINES, Found
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES, sentences
-from magyc_gtsam.gap.outcome.doubt import APART
 from magyc_gtsam.gap.outcome.unsure import one_of
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
 from magyc_gtsam.gap.rules import RULES
@@ -112,8 +111,6 @@ def absent(left: Sequence[str], unsure: Mapping[str, float], twin: Twin, catalog
     """
     if not left:
         return ""
-    if CLOCK_DRIFT in left:
-        return APART
     if unsure:
         return one_of(unsure)
     where = place_of(left[0], twin)
@@ -150,7 +147,7 @@ def manoeuvre(
             motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion
             labels = " from ".join(LABELS.get(n, FIELD_VARIES) for n in names[:2])
             return Manoeuvre(names, motion, f"to distinguish {labels}: {motion}")
-    if left and CLOCK_DRIFT not in left:
+    if left:
         motion = (
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )

@@ -57,11 +57,21 @@ def _axis_delays(field: Array, scene: Scene, size: float, random: np.random.Gene
     return np.column_stack(read), {"delays": late}
 
 
+def _clock_drift(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Let the magnetometer's clock be fast or slow, by `size` over the recording, and right halfway."""
+    growth = size * float(random.choice([-1.0, 1.0]))
+    late = growth * ((scene.time - scene.time[0]) / (scene.time[-1] - scene.time[0]) - 0.5)
+    return np.column_stack([np.interp(scene.time - late, scene.time, axis) for axis in field.T]), {
+        "growth": growth
+    }
+
+
 EFFECTS = {
     "timing": SimulatedEffect(Stage.ELECTRONICS, _timing),
     "temperature-gain": SimulatedEffect(Stage.ELECTRONICS, _temperature_gain, ("temperature",)),
     "gain-drift": SimulatedEffect(Stage.ELECTRONICS, _gain_drift),
     "axis-delays": SimulatedEffect(Stage.ELECTRONICS, _axis_delays),
+    "clock-drift": SimulatedEffect(Stage.ELECTRONICS, _clock_drift),
     "saturation": SimulatedEffect(Stage.ELECTRONICS, _saturation),
     "cubic": SimulatedEffect(Stage.ELECTRONICS, _cubic),
 }

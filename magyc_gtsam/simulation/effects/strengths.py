@@ -137,6 +137,9 @@ NAMED_STRENGTHS: dict[str, Strength] = {
     "axis-delays": Strength(
         60 * _MS, "s, between the first axis and the last", "60 ms", "a multiplexed converter with a slow filter"
     ),
+    "clock-drift": Strength(
+        180 * _MS, "s over the recording", "180 ms in ten minutes", "a resonator 300 ppm off the other clock"
+    ),
 }
 
 FOREIGN_STRENGTHS: dict[str, Strength] = {
