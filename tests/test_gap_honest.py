@@ -117,6 +117,7 @@ def test_clocks_that_drift_apart_are_named_and_corrected(growth: float, late: fl
     drift = found["clock-drift"]
     assert abs(drift.value[0] - 1e3 * growth) < 3 * drift.sigma[0] < 60
     assert f"clock {'gains' if growth > 0 else 'loses'} 0." in drift.sentence
+    assert not drift.ambiguous_with  # least of all with a channel that is not logged
     assert gap.calibration.trusted, gap.calibration.message
 
 

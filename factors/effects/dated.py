@@ -20,9 +20,8 @@ MOMENTS = (
     "hard-iron-drift",
     "gain-drift",
     "local-anomaly",
-    "clock-drift",
 )
-DATED = (*MOMENTS, "tone")  # which has a phase
+DATED = (*MOMENTS, "tone", "clock-drift")  # which have a phase, and a beginning and an end
 _JUMPS = ("hard-iron-step", "soft-iron-step", "gyro-bias-step")
 
 

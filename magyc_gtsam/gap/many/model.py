@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from magyc_gtsam.gap.effects import MOMENTS
+from magyc_gtsam.factors.effects.dated import DATED
 
 
 @dataclass(frozen=True)
@@ -54,5 +54,5 @@ class ManyModel:
 
 
 MODEL = ManyModel()
-OF_THE_PLACE = (*MOMENTS, "field-gradient")  # whatever their values
+OF_THE_PLACE = (*DATED, "field-gradient")  # whatever their values
 OF_THE_INSTRUMENT = ("saturation",)  # its value is a level relative to the readings of a log

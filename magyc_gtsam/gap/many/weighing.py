@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import expit, logsumexp, softmax
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.dated import DATED
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
 from magyc_gtsam.gap.many.model import MODEL, OF_THE_INSTRUMENT, OF_THE_PLACE
@@ -112,7 +113,7 @@ def weigh(name: str, logs: Sequence[Tests]) -> WeighedOverLogs:
     of_log = [log.get(name, ()) for log in logs]
     apart, present, _ = mixture(_by_kind(name, of_log))
     alone = WeighedOverLogs(name, apart, present, tuple(map(strongest, of_log)))
-    if name in MOMENTS or name.startswith("time:"):
+    if name in DATED or name.startswith("time:"):
         return alone
     shared, best = _shared(name, of_log)
     return replace(alone, shared=shared, setting=best.setting, value=best.value)
