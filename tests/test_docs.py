@@ -41,6 +41,14 @@ def test_every_group_of_promises_has_its_measurements_in_the_same_order() -> Non
     assert _headings(measured) == ["how-it-is-counted", *groups, "not-promised"]
 
 
+@pytest.mark.parametrize(("name", "most"), [("slam", 1700), ("online", 1600)])
+def test_a_page_for_users_is_short_and_its_second_page_is_in_the_same_order(name: str, most: int) -> None:
+    text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= most  # with the bars of its tables
+    linked = dict.fromkeys(re.findall(rf"\({name}_measured\.md#([\w-]+)\)", text))
+    assert list(linked) == _headings(ROOT / "docs" / f"{name}_measured.md")
+
+
 def _headings(page: Path) -> list[str]:
     titles = re.findall(r"^## (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return [re.sub(r"[^\w]+", "-", title.lower()) for title in titles]
