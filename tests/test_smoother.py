@@ -152,7 +152,10 @@ def test_the_gyroscope_is_not_taken_for_quieter_than_its_samples_are():
 @pytest.mark.parametrize("share", [0.1, 0.5])
 @pytest.mark.parametrize("motion", AMPLITUDES)
 def test_the_covariance_is_honest_where_samples_are_lost(motion, share):
-    """Each sensor loses its own; with plain trapezoids over the holes the mean NEES of half lost is 40."""
+    """Each sensor loses its own; with plain trapezoids over the holes the mean NEES of half lost is 40.
+
+    A pitch with a period of 1.8 s loses a tenth of the turn rate with half of the samples, and is refused.
+    """
     scores = []
     for seed in range(5):
         simulation = simulate(motion, seed=seed)
@@ -162,8 +165,10 @@ def test_the_covariance_is_honest_where_samples_are_lost(motion, share):
             (recording.time[m], recording.magnetic_field[m]), (recording.time[g], recording.angular_rate[g])
         )
         calibration = calibrate(lossy, misalignment=0)
-        assert calibration.trusted, calibration.message
-        scores.append(normalised(calibration, simulation.truth))
+        if "10% of its turn rate is lost" not in calibration.message:
+            assert calibration.trusted, calibration.message
+            scores.append(normalised(calibration, simulation.truth))
+    assert len(scores) >= 4
     assert np.mean(scores) == pytest.approx(11, abs=3 * np.sqrt(2 * 11 / len(scores)))
 
 

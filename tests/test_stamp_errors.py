@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.preparation import preintegrate, stamp_variance
+from magyc_gtsam.estimators.smoother.preparation import added_variance, preintegrate
 from magyc_gtsam.factors.chain.stamp_errors import stamp_errors
 from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.recording import Array, Samples
@@ -107,21 +107,21 @@ def logged(late: float) -> mg.Recording:
 
 def test_the_links_are_looser_where_the_rate_changes() -> None:
     sound, wandering = (preintegrate(logged(late)) for late in (0.0, 0.05))
-    assert sound.stamp_variance is None
-    assert wandering.stamp_variance is not None
+    assert sound.added_variance is None
+    assert wandering.added_variance is not None
     steps = np.square(wandering.step).sum()
     whole = wandering.integrate().link_time.sum()
-    assert whole == pytest.approx(steps + wandering.stamp_variance.sum(), rel=0.05)
+    assert whole == pytest.approx(steps + wandering.added_variance.sum(), rel=0.05)
     part, rates = wandering.stretch(10, 40, 1.0)
-    assert part.stamp_variance is not None
-    assert np.array_equal(part.stamp_variance, wandering.stamp_variance[rates.start : rates.stop - 1])
+    assert part.added_variance is not None
+    assert np.array_equal(part.added_variance, wandering.added_variance[rates.start : rates.stop - 1])
 
 
 def test_the_end_of_a_stretch_may_be_that_of_the_log() -> None:
     samples = preintegrate(logged(0.05))
     part, _ = samples.stretch(5, len(samples.starts), 1e3)
-    assert part.stamp_variance is not None
-    assert len(part.stamp_variance) == len(part.gyroscope_time) - 1
+    assert part.added_variance is not None
+    assert len(part.added_variance) == len(part.gyroscope_time) - 1
 
 
 def test_the_result_says_so_and_is_covered() -> None:
@@ -141,8 +141,8 @@ def test_online_judges_the_stamps_by_those_just_before() -> None:
     buffer.append(Samples(*magnetometer), Samples(*gyroscope))
     last = int(buffer.numbers[-1])
     piece = buffer.windows(last - 60, last, 0.0)
-    whole = stamp_variance(gyroscope)
-    assert piece.stamp_variance is not None
+    whole = added_variance(gyroscope)
+    assert piece.added_variance is not None
     assert whole is not None
     rows = slice(*np.searchsorted(gyroscope.time, piece.gyroscope_time[[0, -1]]))
-    assert piece.stamp_variance.sum() == pytest.approx(whole[rows].sum(), rel=0.4)
+    assert piece.added_variance.sum() == pytest.approx(whole[rows].sum(), rel=0.4)

@@ -69,7 +69,7 @@ class GyroscopeTrack:
         rotation: R at the stamps, as spinors (G,).
         lever_before: (9,) s, K at the first stamp, for a piece of a longer track (`following`).
         squared_time_before: s², Σ dt² at the first stamp, for a piece of a longer track.
-        stamp_variance: (G − 1,) s², what errors of the stamps add to dt² in each step; None for none.
+        added_variance: (G − 1,) s², what errors of stamps or lost samples add to dt² in each step; None for none.
     """
 
     time: Array
@@ -80,7 +80,7 @@ class GyroscopeTrack:
     rotation: Spinor
     lever_before: Array = field(default_factory=lambda: np.zeros(9))
     squared_time_before: float = 0.0
-    stamp_variance: Array | None = None
+    added_variance: Array | None = None
 
     @classmethod
     def integrate(
@@ -91,7 +91,7 @@ class GyroscopeTrack:
         *,
         interval_mean: bool = False,
         stamps: Array | None = None,
-        stamp_variance: Array | None = None,
+        added_variance: Array | None = None,
     ) -> GyroscopeTrack:
         """Integrate the rates (`rotations.increments`).
 
@@ -102,7 +102,7 @@ class GyroscopeTrack:
             interval_mean: the rates are means since the previous stamp.
             stamps: (n,) s inside `time`, where to integrate instead of at `time`; rates AT their stamps are
                 interpolated linearly.
-            stamp_variance: (G − 1,) s², what errors of the stamps add to dt² in each step; None for none.
+            added_variance: (G − 1,) s², what errors of stamps or lost samples add to dt² in each step; None for none.
         """
         b = np.zeros(3) if bias is None else bias
         if stamps is not None:
@@ -116,7 +116,7 @@ class GyroscopeTrack:
         else:
             increment = increments(time, angular_rate, None if bias is None else b)
         rotation = chained(increment)
-        return cls(time, angular_rate, b, interval_mean, increment, rotation, stamp_variance=stamp_variance)
+        return cls(time, angular_rate, b, interval_mean, increment, rotation, added_variance=added_variance)
 
     def following(self, before: GyroscopeTrack, when: float) -> GyroscopeTrack:
         """Return this piece of a track in the world frame of the preceding piece, with K and Σ dt² continued.
@@ -167,8 +167,8 @@ class GyroscopeTrack:
 
     @cached_property
     def squared_time(self) -> Array:
-        """Σ dt² up to each stamp (G,) in s², with what errors of the stamps add to it."""
-        squared = self.step**2 if self.stamp_variance is None else self.step**2 + self.stamp_variance
+        """Σ dt² up to each stamp (G,) in s², with what errors of the stamps or lost samples add to it."""
+        squared = self.step**2 if self.added_variance is None else self.step**2 + self.added_variance
         result = np.full(len(self.time), self.squared_time_before)
         result[1:] += np.cumsum(squared)
         return result

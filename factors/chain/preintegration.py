@@ -85,7 +85,7 @@ class Preintegration:
         hole: s, a gyroscope step longer than this interrupts the chain.
         begun: number of windows, including the share of the present one, before the first gyroscope sample; for the
             continuation of a longer log.
-        stamp_variance: (G − 1,) s², what errors of the gyroscope's stamps add to dt² in each step; None for none.
+        added_variance: (G − 1,) s², what errors of the stamps or lost samples add to dt² in each step; None for none.
 
     Attributes:
         starts: (n,) index of each window's first magnetometer sample.
@@ -106,7 +106,7 @@ class Preintegration:
     turn: float = 0.2
     hole: float = HOLE
     begun: float = 0.0
-    stamp_variance: Array | None = None
+    added_variance: Array | None = None
     starts: np.ndarray = field(init=False)
     linked: np.ndarray = field(init=False)
     empty: EmptyWindows = field(init=False)
@@ -239,7 +239,7 @@ class Preintegration:
             starts=self.starts[first:last] - self.starts[first],
             linked=self.linked[first : last - 1],
             empty=self.empty.part(first, last - 1),
-            stamp_variance=self._stamp_variance(rates),
+            added_variance=self._added_variance(rates),
         )
         return result, rates
 
@@ -250,9 +250,9 @@ class Preintegration:
             object.__setattr__(result, name, value)
         return result
 
-    def _stamp_variance(self, rows: slice) -> Array | None:
+    def _added_variance(self, rows: slice) -> Array | None:
         stop = min(rows.stop, len(self.gyroscope_time)) - 1
-        return None if self.stamp_variance is None else self.stamp_variance[rows.start : stop]
+        return None if self.added_variance is None else self.added_variance[rows.start : stop]
 
     def _track(self, before: GyroscopeTrack | None, rows: slice, bias: Array, delay: float) -> GyroscopeTrack:
         """Integrate the gyroscope over a slice of the magnetometer's samples, in the world frame of `before`."""
@@ -267,9 +267,9 @@ class Preintegration:
         if before is not None:
             begin = max(after(rows.start) - 1 - _MARGIN, 0)
         time, rate = self.gyroscope_time[begin:stop], self.angular_rate[begin:stop]
-        stamp_variance = self._stamp_variance(slice(begin, stop))
+        added_variance = self._added_variance(slice(begin, stop))
         track = GyroscopeTrack.integrate(
-            time, rate, bias, interval_mean=self.interval_mean, stamp_variance=stamp_variance
+            time, rate, bias, interval_mean=self.interval_mean, added_variance=added_variance
         )
         return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.preparation import stamp_variance
+from magyc_gtsam.estimators.smoother.preparation import added_variance
 from magyc_gtsam.factors.chain.field_windows import FieldWindows, in_frame_of, joined
 from magyc_gtsam.factors.chain.preintegration import Preintegration, windows_passed
 from magyc_gtsam.recording import Array, Samples
@@ -18,7 +18,7 @@ _STEPS = 32  # gyroscope steps from which their median is determined
 _WAITING = 60.0  # s of samples of one sensor that are kept while the other is silent
 _BLOCK = 64  # windows that are integrated together
 _FEW = 8  # windows that are not a block of their own
-_STAMPS = 2048  # gyroscope samples before a window by which its stamps are judged
+_STAMPS = 2048  # gyroscope samples before a window by which its stamps and steps are judged
 _POINT = 1e-3  # rad/s and s to which the bias and delay of the integration are rounded
 
 
@@ -93,7 +93,7 @@ class SampleBuffer:
         span = self._span(rows, delay)
         before = min(_STAMPS, span.start)  # which show whether the stamps wander
         gyro = self._gyroscope.rows[span.start - before : span.stop]
-        wander = stamp_variance(Samples(gyro[:, 0], gyro[:, 1:4]))
+        wander = added_variance(Samples(gyro[:, 0], gyro[:, 1:4]))
         gyro = gyro[before:]
         return Preintegration(
             self.magnetometer.time[rows],
@@ -105,7 +105,7 @@ class SampleBuffer:
             turn=self.turn,
             hole=self._hole,
             begun=float(gyro[0, 4]),
-            stamp_variance=None if wander is None else wander[before:],
+            added_variance=None if wander is None else wander[before:],
         )
 
     def keep_from(self, number: int, delay: float) -> None:

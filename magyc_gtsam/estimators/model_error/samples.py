@@ -15,6 +15,7 @@ from magyc_gtsam.estimators.smoother.preparation import Streams, magnetometer_no
 from magyc_gtsam.factors.chain import compiled
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.unresolved import RateSpectrum, even
 from magyc_gtsam.sensor_faults.noise import white_noise
 
 _MOST = 20000  # most samples used, from the middle of longer logs
@@ -27,8 +28,6 @@ _ENOUGH = 2000  # samples used to find the step
 _ROUNDING = 1e-3  # share of the mean change below which a change is rounding by a unit conversion and no step
 # Ratio of step to noise. With normal noise of two fifths of a step, 4 % of the rounding error remains in a mean.
 _COARSE = 2.0
-_SEGMENT = 256  # samples per segment of the spectrum
-_FLOOR = 4.0  # multiple of the spectrum's median below which it counts as noise
 _TOO_SLOW = 0.1  # share of the turn rate lost between samples; up to 0.09 all results were right
 _BLOCK = 50  # samples; an axis with noise has only two values in them once in 10¹⁵
 _MOVING = 0.9  # quantile of the blocks' ranges that is typical: an axis may be stuck for most of a log
@@ -175,29 +174,24 @@ def _shares_of_two_values(values: Array) -> list[float]:
 
 
 def too_slow(recording: Streams) -> str:
-    """Return why the gyroscope's sampling rate is too low for the motion; "" if it is not.
-
-    The trapezoidal rule retains x / tan x of an oscillation at f Hz, x = π f / (sampling rate), and none of one at the
-    Nyquist frequency. Only the part of the spectrum above the noise floor counts.
-    """
+    """Return why the gyroscope's samples are too few for the motion; "" if they are not."""
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
         return ""
-    rough, whole = _roughness(rate)
-    if rough < _ROUGH * whole:
-        return ""
-    step = float(np.median(np.diff(time)))
-    from scipy.signal import welch  # imported here because it takes longer than a calibration
-
-    frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(time) // 4), axis=0)
-    power, x = spectrum.sum(axis=1)[1:], np.pi * frequency[1:] * step
-    above = np.maximum(power - _FLOOR * np.median(power), 0.0)
-    lost = float(np.sqrt(above @ (1 - x / np.tan(x)) ** 2 / max(above.sum(), 1e-300)))
+    regular = even(time)
+    if regular:
+        rough, whole = _roughness(rate)
+        if rough < _ROUGH * whole:
+            return ""
+    spectrum = RateSpectrum.of(time, rate)
+    lost = spectrum.lost
     if lost < _TOO_SLOW:
         return ""
+    apart, remedy = ("", "") if regular else (f", up to {spectrum.step[-1]:.2g} s apart,", " and lose no samples")
     return (
-        f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({lost:.0%} of its turn rate is "
-        f"lost between them, at most {_TOO_SLOW:.0%} is tolerated): record faster"
+        f"the gyroscope's {(len(time) - 1) / (time[-1] - time[0]):.3g} samples a second{apart} are too few for this "
+        f"motion ({lost:.0%} of its turn rate is lost between them, at most {_TOO_SLOW:.0%} is tolerated): "
+        f"record faster{remedy}"
     )
 
 
