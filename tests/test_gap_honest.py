@@ -284,3 +284,11 @@ def test_what_a_walk_has_beyond_a_drift_is_in_the_sigmas(seed: int) -> None:
     gap = mg.find_gap(log.recording("walk"))
     assert "hard-iron-drift" in gap.names
     assert score(gap.calibration, end=float(log.field_time[-1])).outcome == "right and trusted"
+
+
+def test_a_log_too_long_for_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the search, which would take 0.15 GB for five minutes, if it were done in 0.1 GB."""
+    assert prepared.memory() > 1e8
+    monkeypatch.setattr(prepared, "memory", lambda: 1e8)
+    with pytest.raises(mg.MagycError, match=r"memory.*choose an interval of at most 0\.1 h \(start=, end=\)"):
+        mg.find_gap(mg.simulate("wide", 300, seed=1).recording)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,6 +11,7 @@ from magyc_gtsam.estimators.model_error.samples import flickers
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.estimators.smoother.truncated import without_truncation
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.outcome.corrected import as_calibration
@@ -27,6 +29,28 @@ _MEND = "choose an interval without it (start=, end=), or have the sensor repair
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
 _LOG_SAMPLES = "log its own samples with their times, or give the rows in which it is new"
 _SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
+
+
+_PER_WINDOW = 0.5e6  # bytes, of the search where the field varies; 0.3e6 without
+
+
+def _expect_memory(windows: int, duration: float) -> None:
+    """Raise a MagycError if the search needs more memory than the machine has."""
+    needed, present = _PER_WINDOW * windows, memory()
+    if needed > present:
+        hours = duration / 3600 * present / needed
+        raise MagycError(
+            f"the gap of {duration / 3600:.1f} h takes some {needed / 1e9:.0f} GB of memory, and this machine has "
+            f"{present / 1e9:.0f} GB: choose an interval of at most {hours:.1f} h (start=, end=)"
+        )
+
+
+def memory() -> float:
+    """Return the memory of the machine, bytes; infinity where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # no such function on Windows
+        return float("inf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +78,7 @@ class Prepared:
         """Prepare a recording for the candidates `names`, and fit the base model, or that of a given calibration.
 
         Raises:
-            MagycError: no gyroscope, or data that cannot be calibrated.
+            MagycError: no gyroscope, data that cannot be calibrated, or too long for the memory.
         """
         needs_gyroscope(recording)
         usable = without_faults(recording)
@@ -73,6 +97,7 @@ class Prepared:
         if truncated:
             left_out += [one.error for one in truncated]
             base = base_model(recording, calibration, short_term)
+        _expect_memory(base.twin.n, recording.duration)
         return cls(usable, recording, left_out, discrete, short_term, base)
 
     def untestable(self) -> tuple[str, Doubt] | None:
