@@ -1,4 +1,4 @@
-"""A bit of a converter that always reads the same, or of the magnetometer's that is wrong in some of the readings."""
+"""A bit of a sensor's converter that always reads the same, or is wrong in some of the readings."""
 
 from __future__ import annotations
 
@@ -183,10 +183,63 @@ def test_a_gap_with_a_stuck_bit_of_the_gyroscope_is_open() -> None:
     assert not gap.calibration.trusted
 
 
+def with_failing_rate_bit(
+    recording: mg.Recording, worth: int, share: float, step: float = 1e-3, axis: int = 2
+) -> mg.Recording:
+    """The recording with rates in steps (rad/s), with a bit of an axis set in a share of the readings."""
+    assert recording.angular_rate is not None
+    read = codes(recording.angular_rate, step)
+    read[:, axis] |= worth * (np.random.default_rng(worth).random(len(read)) < share)
+    return replace(recording, angular_rate=read * step)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 5e-3])
+@pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
+def test_a_bit_of_the_gyroscope_that_fails_at_times_is_found_on_every_motion(motion: str, noise: float) -> None:
+    """The bias was off by half of what the readings are on average, and trusted, at 20 to 40 sigmas."""
+    sound = mg.simulate(motion, 600, seed=8, gyroscope_noise=noise).recording
+    message = "angular_rate: the bit worth {} mrad/s of axis z of the gyroscope is wrong in some of the readings"
+    for worth, share in ((64, 0.05), (64, 0.15), (256, 0.05)):
+        bad = with_failing_rate_bit(sound, worth, share)
+        found = stuck_bit(bad.angular_rate)  # type: ignore[arg-type]
+        assert found is not None
+        assert (found.axis, found.always) == (2, False)
+        assert found.worth == pytest.approx(worth * 1e-3)
+    calibration = mg.calibrate(with_failing_rate_bit(sound, 64, 0.15))
+    assert not calibration.trusted
+    assert calibration.message.startswith(message.format(64))
+    assert mg.calibrate(with_failing_rate_bit(sound, 64, 0.0)).trusted
+
+
+def test_online_and_a_gap_refuse_a_bit_of_the_gyroscope_that_fails() -> None:
+    bad = with_failing_rate_bit(mg.simulate("tiny", 600, seed=8).recording, 64, 0.15)
+    message = "angular_rate: the bit worth 64 mrad/s of axis z of the gyroscope is wrong in some of the readings"
+    online = mg.OnlineCalibrator()
+    online.update(bad.time, bad.magnetic_field, bad.angular_rate)  # type: ignore[arg-type]
+    assert not online.converged
+    assert online.progress.sentence.startswith(message)
+    gap = mg.find_gap(bad, candidates=["timing"])
+    assert gap.verdict == "open"
+    assert gap.sentence.startswith(message)
+    assert gap.doubt is not None
+    assert gap.doubt.cause == "a bit of axis z of the gyroscope is wrong in some of the readings"
+    assert not gap.calibration.trusted
+
+
+def test_a_bit_whose_readings_are_left_out_as_spikes_is_not_refused() -> None:
+    sound = mg.simulate("wide", 600, seed=8).recording
+    calibration = mg.calibrate(with_failing_rate_bit(sound, 1024, 0.02))
+    assert calibration.trusted
+    assert "spikes of the gyroscope" in calibration.message
+
+
 def test_quick_turns_in_steps_are_no_fault_of_the_gyroscope() -> None:
-    """Their peaks stand out upwards at high rates and downwards at low ones, as the readings of a failing bit do."""
+    """Their peaks stand out upwards at high rates and downwards at low ones, as the readings of a failing bit do.
+
+    So do the steps of a walk, of which one axis of a phone in a pocket had a bit at 47 Hz.
+    """
     time = np.arange(6000) / 20
     quick = (np.sin(time / 7) > 0.9)[:, None] * 1.5 * np.sin(2 * np.pi * 5.3 * time[:, None] + np.arange(3))
     rate = quick + np.random.default_rng(2).normal(0, 5e-3, (6000, 3))
     for step in (2e-4, 1.2e-3, 5e-3):
-        assert stuck_bit(np.rint(rate / step) * step, "angular_rate") is None
+        assert stuck_bit(np.rint(rate / step) * step) is None

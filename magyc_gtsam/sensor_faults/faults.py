@@ -72,10 +72,11 @@ class SensorFaults:
         """Return the usable samples; `repeated` (n,) s are the stamps at which the magnetometer repeated a sample."""
         of_field, of_rate = self._zero_gates
         magnetometer, gyroscope = of_field.take(magnetometer), of_rate.take(gyroscope)
-        for bits, samples in zip(self.stuck_bits, (magnetometer, gyroscope), strict=True):
-            bits.observe(samples.value)
         for gate in self._spike_gates:
             gyroscope = gate.take(gyroscope)
+        # A wrong bit whose readings are left out as spikes does no harm.
+        for bits, samples in zip(self.stuck_bits, (magnetometer, gyroscope), strict=True):
+            bits.observe(samples.value)
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
         self._field.append(magnetometer, gyroscope)
@@ -113,7 +114,7 @@ class SensorFaults:
 
     @property
     def stuck_rate_bit(self) -> StuckBit | None:
-        """The bit of the gyroscope that always reads the same, or None."""
+        """The bit of the gyroscope that always reads the same, or fails, or None."""
         return self.stuck_bits[1].finding(1e3, "mrad/s")
 
     def stuck(self, duration: float, now: bool = False) -> tuple[Stuck, ...]:

@@ -26,9 +26,7 @@ def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
     if _repeats(recording) or _field_stands_out(field) or (turns and _rate_stands_out(recording.gyroscope)):
         return True
     # Last, since these are the detector's own tests.
-    return stuck_bit(field) is not None or (
-        turns and stuck_bit(recording.gyroscope.value, "angular_rate") is not None
-    )
+    return stuck_bit(field) is not None or (turns and stuck_bit(recording.gyroscope.value) is not None)
 
 
 def _field_stands_out(field: Array) -> bool:

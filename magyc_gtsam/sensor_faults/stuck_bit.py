@@ -3,8 +3,8 @@
 The readings of an axis are whole numbers of its step. If the bit worth B is stuck, they lie in stretches of B that
 follow each other at 2 B, with nothing between. A motion with noise fills a range of readings without holes, whatever
 the offset and the scale that a driver applies. Such readings are off by B for half of the field's values: by 0.6 µT the
-hard iron was off by 6 to 30 sigmas. A bit that is wrong in some of the readings only is found in `failing_bit`, of the
-magnetometer alone: the peaks of a quick turn stand out as its readings do. No calibration from either is trusted.
+hard iron was off by 6 to 30 sigmas. A bit that is wrong in some of the readings only is found in `failing_bit`. No
+calibration from either is trusted.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class StuckBits:
 
     Args:
         every, latest: numbers of samples; a batch passes one beyond that of all its samples, and concludes itself.
-        sensor: "magnetic_field", or "angular_rate", of which only stuck bits are looked for.
+        sensor: "magnetic_field" or "angular_rate", for the message.
     """
 
     def __init__(self, every: int = 300, latest: int = 6000, sensor: str = "magnetic_field") -> None:
@@ -122,7 +122,7 @@ class StuckBits:
         if not len(self._new):
             return
         self._rows, self._new = np.vstack([self._rows, self._new])[-self._latest :], self._new[:0]
-        self._found = self._found or stuck_bit(self._rows, self._sensor)
+        self._found = self._found or stuck_bit(self._rows)
 
     def finding(self, shown: float = 1e6, unit: str = "µT") -> StuckBit | None:
         """Return the bit that was found, or None; `shown` scales a reading to `unit`."""
@@ -143,8 +143,8 @@ class StuckBits:
         self._found = None if np.isnan(axis) else Bit(int(axis), worth, bool(always))
 
 
-def stuck_bit(value: Array, sensor: str = "magnetic_field", rules: BitRules = RULES) -> Bit | None:
-    """Return the first bit of samples (n, 3) that is stuck, or in a "magnetic_field" fails; None if none is told."""
+def stuck_bit(value: Array, rules: BitRules = RULES) -> Bit | None:
+    """Return the first bit of samples (n, 3) that is stuck, or wrong in some of them; None if none is told."""
     if len(value) < 2:
         return None
     for axis, step in enumerate(_steps(np.ascontiguousarray(value[: rules.first].T), rules)):
@@ -154,7 +154,7 @@ def stuck_bit(value: Array, sensor: str = "magnetic_field", rules: BitRules = RU
         if steps.max() > rules.steps:
             continue
         always = _bit(steps.astype(np.int64), rules)
-        if worth := always or (failing_bit(steps) if sensor == "magnetic_field" else 0):
+        if worth := always or failing_bit(steps):
             return Bit(axis, worth * step, bool(always))
     return None
 
