@@ -14,7 +14,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import Candidates
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.problem import Active
@@ -215,7 +215,7 @@ def test_a_fitted_scale_leaves_no_score_bias() -> None:
             base.twin.problem, with_term(base.model, Active("gyro-scale", {"z": 1.0}, np.zeros(1))), short_term
         )
         twin = scaled.twin
-        made = Candidates.of_parts(twin, [at_settings(twin, "gyro-scale", [{}])])
+        made = Candidates.at(twin, "gyro-scale", [{}])
         rest = weigh(made, Beside.of_model(twin))["gyro-scale"]
         statistics.append(rest.statistic)
         left = np.linalg.eigvalsh(rest.information) > 1e-7 * np.diag(made.batches[0].gram[0]).max()

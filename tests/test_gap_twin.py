@@ -16,7 +16,7 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import Candidates
 from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
 from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.columns import Columns
@@ -151,7 +151,7 @@ def test_eliminating_the_candidate_last_in_gtsam_gives_the_same_statistic(twin: 
 
 
 def weighed(twin: Twin, name: str) -> Weighed:
-    return weigh(Candidates.of_parts(twin, [at_settings(twin, name, [{}])]), Beside.of_model(twin))[name]
+    return weigh(Candidates.at(twin, name, [{}]), Beside.of_model(twin))[name]
 
 
 def test_the_estimate_beside_the_model_is_what_the_refit_finds() -> None:

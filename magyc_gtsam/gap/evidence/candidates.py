@@ -69,10 +69,15 @@ class Candidates:
         """Prepare the effects `names`, with coloured noise, and families (None: all that the recording allows)."""
         every = families(twin) if among is None else among
         courses = [_courses(twin, COLOUR in names)] if among is None else []
-        return cls.of_parts(twin, [*_of_names(twin, names), *_of_families(twin, every), *courses])
+        return cls._of_parts(twin, [*_of_names(twin, names), *_of_families(twin, every), *courses])
 
     @classmethod
-    def of_parts(cls, twin: Twin, stacks: Sequence[Stack]) -> Candidates:
+    def at(cls, twin: Twin, name: str, settings: Sequence[Setting]) -> Candidates:
+        """Prepare one effect at some settings."""
+        return cls._of_parts(twin, [_at_settings(twin, name, settings)])
+
+    @classmethod
+    def _of_parts(cls, twin: Twin, stacks: Sequence[Stack]) -> Candidates:
         """Build the candidates from whitened columns."""
         groups: dict[int, list[Part]] = {}
         first = 0
@@ -128,7 +133,7 @@ def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
     for name in (name for name in names if name in TERMS and not TERMS[name].missing(twin)):
         settings = TERMS[name].settings(twin)
         if settings:
-            yield at_settings(twin, name, settings)
+            yield _at_settings(twin, name, settings)
 
 
 def with_each_drift(model: Model, twin: Twin) -> tuple[list[Model], int]:
@@ -149,7 +154,7 @@ def with_each_drift(model: Model, twin: Twin) -> tuple[list[Model], int]:
     return [model], 0
 
 
-def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:
+def _at_settings(twin: Twin, name: str, settings: Sequence[Setting]) -> Stack:
     """Return the columns of an effect at some settings, which are equally probable."""
     made = [twin.columns(name, setting) for setting in settings]
     ends = np.cumsum([len(part.window) for part in made])

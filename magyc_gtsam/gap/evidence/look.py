@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from magyc_gtsam.gap.effects import TERMS, sudden
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import Candidates
 from magyc_gtsam.gap.evidence.neighbours import neighbours
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
@@ -53,7 +53,7 @@ def finer(option: Weighed, twin: Twin, beside: Beside) -> Weighed:
         near = TERMS[option.name].refined(twin, dict(option.setting))
         if not near:
             break
-        closer = Candidates.of_parts(twin, [at_settings(twin, option.name, near)])
+        closer = Candidates.at(twin, option.name, near)
         option, before = option.with_cell(weigh(closer, beside)[option.name]), option
         if option.setting == before.setting or not sudden(option.name, option.setting):
             break

@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
 from magyc_gtsam.gap.effects import TERMS, nested
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates
 from magyc_gtsam.gap.evidence.laplace import Explained, Terms
 from magyc_gtsam.gap.evidence.look import Look
 from magyc_gtsam.gap.evidence.prior import PRIOR
@@ -213,7 +213,7 @@ class Node:
         near = TERMS[term.name].refined(self.fit.twin, term.setting)
         if not near:
             return term.setting
-        candidates = Candidates.of_parts(self.fit.twin, [at_settings(self.fit.twin, term.name, near)])
+        candidates = Candidates.at(self.fit.twin, term.name, near)
         without = Terms.of(self.fit).added_to(self.beside.rest(), self.scales, without=index)
         return weigh(candidates, without)[term.name].setting
 

@@ -13,7 +13,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS, sudden
 from magyc_gtsam.gap.evidence.beside import LEAST, Beside
-from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, at_settings, what_matters
+from magyc_gtsam.gap.evidence.candidates import COLOUR, Candidates, what_matters
 from magyc_gtsam.gap.evidence.generic import families
 from magyc_gtsam.gap.evidence.neighbours import neighbours
 from magyc_gtsam.gap.evidence.prior import PRIOR
@@ -155,7 +155,7 @@ class OneLog:
         """Return the most probable setting of an effect near one of them."""
         twin = self.refitted.twin
         near = TERMS[name].refined(twin, setting)
-        tests = self._tested(Candidates.of_parts(twin, [at_settings(twin, name, near)]))[name] if near else ()
+        tests = self._tested(Candidates.at(twin, name, near))[name] if near else ()
         best = strongest(tests)
         return setting if best is None else dict(best.setting)
 
@@ -206,7 +206,7 @@ class OneLog:
             return ()
         here = {k: v for k, v in own[0].items() if k in _OF_THE_LOG or k.startswith("reference")}
         asked = [{k: v for k, v in s.items() if not k.startswith("reference")} | here for s in settings]
-        return self._tested(Candidates.of_parts(twin, [at_settings(twin, name, asked)])).get(name, ())
+        return self._tested(Candidates.at(twin, name, asked)).get(name, ())
 
     def _tested(self, candidates: Candidates) -> dict[str, tuple[Test, ...]]:
         twin, noise = self.refitted.twin, self.beside.noise

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.gap.evidence.beside import Beside
-from magyc_gtsam.gap.evidence.candidates import Candidates, at_settings
+from magyc_gtsam.gap.evidence.candidates import Candidates
 from magyc_gtsam.gap.evidence.weighing import information_of
 from magyc_gtsam.gap.model.field_variation import FieldVariation, field_variation
 from magyc_gtsam.gap.model.refit import Refit, without_term
@@ -38,7 +38,7 @@ def _sigma(refitted: Refit, index: int, variation: FieldVariation | None) -> flo
     reach = max(_FEWEST, round(_REACH / window))
     times = edges[max(at - reach, 0) : at + reach + 1]
     settings = [{**term.setting, "time": float(time)} for time in times]
-    candidates = Candidates.of_parts(twin, [at_settings(twin, term.name, settings)])
+    candidates = Candidates.at(twin, term.name, settings)
     seen, (batch,) = beside.see(candidates.columns, candidates.score_bias), candidates.batches
     inverse = np.linalg.pinv(information_of(batch, beside.noise, seen.reach), hermitian=True)
     score = seen.score[batch.rows]
