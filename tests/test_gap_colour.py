@@ -14,7 +14,7 @@ from magyc_gtsam.blindtest.scenarios import Scenario, seed_of
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.evidence.decision import UNKNOWN
+from magyc_gtsam.gap.evidence.posterior import UNKNOWN
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.colour import Autoregression, ColouredNoise
 from magyc_gtsam.gap.model.problem import Problem

@@ -18,10 +18,9 @@ from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import COLOUR, DRIFT, Batch, Candidates
 from magyc_gtsam.gap.evidence.colour import colour_of
-from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
 from magyc_gtsam.gap.evidence.neighbours import neighbours, product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
-from magyc_gtsam.gap.evidence.posterior import SetWeight, normalised, summed, weights
+from magyc_gtsam.gap.evidence.posterior import NOTHING, UNKNOWN, SetWeight, marginals, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh

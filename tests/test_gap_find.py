@@ -12,7 +12,7 @@ import yaml
 import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
-from magyc_gtsam.gap.evidence.decision import NOTHING
+from magyc_gtsam.gap.evidence.posterior import NOTHING
 from magyc_gtsam.gap.preparation.discrete import moving
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.recording.turned import with_turned_gyroscope

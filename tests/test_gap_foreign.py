@@ -13,8 +13,8 @@ import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario, seed_of
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.gap.evidence.decision import UNKNOWN
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
+from magyc_gtsam.gap.evidence.posterior import UNKNOWN
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.field_variation import field_variation
 

@@ -15,9 +15,8 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.evidence.answer import Answer, answer
-from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION
-from magyc_gtsam.gap.evidence.posterior import Set
+from magyc_gtsam.gap.evidence.posterior import NOTHING, UNKNOWN, Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.field_variation import field_variation

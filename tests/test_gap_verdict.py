@@ -14,7 +14,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.evidence.decision import UNKNOWN
+from magyc_gtsam.gap.evidence.posterior import UNKNOWN
 from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
 from magyc_gtsam.gap.outcome.doubt import left_open

@@ -1,4 +1,4 @@
-"""Posterior probabilities from the evidence of a tree: of each set, with and without an unknown effect."""
+"""Posterior probabilities from the evidence of a tree: of sets, with and without an unknown effect, and of names."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import Weighed
 
 Set = tuple[tuple[str, ...], bool]  # names, and True if an unknown effect is present
+NOTHING, UNKNOWN = "nothing", "unknown"
 
 
 class SetWeight(NamedTuple):
@@ -195,3 +196,17 @@ def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
         if more:
             result[key] = result.get(key, 0.0) + more
     return result
+
+
+def marginals(posterior: Mapping[Set, float]) -> dict[str, float]:
+    """Return {name, `UNKNOWN` or `NOTHING`: probability}, the most probable first."""
+    result = {NOTHING: 0.0, UNKNOWN: 0.0}
+    for (names, unknown), probability in posterior.items():
+        for name in dict.fromkeys(names):
+            result[name] = result.get(name, 0.0) + probability
+        if unknown:
+            result[UNKNOWN] += probability
+        elif not names:
+            result[NOTHING] += probability
+    stated = {what: min(probability, 1.0) for what, probability in result.items()}  # sums are rounded
+    return dict(sorted(stated.items(), key=lambda one: -one[1]))

@@ -19,10 +19,9 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import MOMENTS, TERMS
 from magyc_gtsam.gap.effects.world import GRADIENT
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer
-from magyc_gtsam.gap.evidence.decision import UNKNOWN, marginals
 from magyc_gtsam.gap.evidence.neighbours import product_of
 from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
-from magyc_gtsam.gap.evidence.posterior import Set
+from magyc_gtsam.gap.evidence.posterior import UNKNOWN, Set, marginals
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.problem import Active, Model, Problem

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.evidence.decision import UNKNOWN
+from magyc_gtsam.gap.evidence.posterior import UNKNOWN
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
 from magyc_gtsam.gap.outcome.doubt import LOG_MORE
 from magyc_gtsam.gap.result import Doubt, Manoeuvre
