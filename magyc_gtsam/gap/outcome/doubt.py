@@ -117,18 +117,21 @@ def left_open(
             return Doubt(missing, LOG_MORE)
         jumps = [f"{e.setting['time']:.0f} s" for e in effects if e.name == "hard-iron-step"]
         if jumps:
-            return _shortest(missing, (f"jumps at {' and '.join(jumps)}", f"{len(jumps)} jumps"), _WITHOUT)
+            return _beside(missing, (f"jumps at {' and '.join(jumps)}", f"{len(jumps)} jumps"), _WITHOUT)
         labels = [effect.label for effect in effects]
-        return _shortest(missing, (_named(labels), f"{len(labels)} effects"), LOG_MORE)
+        return _beside(missing, (_named(labels), f"{len(labels)} effects"), LOG_MORE)
     verb = "is" if len(uncorrected) == 1 else "are"
     cause = f"{_named([effects[place].label for place in sorted(uncorrected)])} {verb} not corrected"
     return Doubt(cause, LOG_MORE if manoeuvre is None else manoeuvre.motion)
 
 
-def _shortest(missing: str, beside: Sequence[str], action: str) -> Doubt:
-    """Return the first doubt that is short enough, or the last."""
-    doubts = [Doubt(f"beside {each}, {missing}", action) for each in beside]
-    return next((doubt for doubt in doubts if len(doubt.sentence.split()) <= MOST_WORDS), doubts[-1])
+def shortened(ways: Sequence[str], beside: int) -> str:
+    """Return the first of several ways to say a cause that is short enough beside so many words, or the last."""
+    return next((way for way in ways if len(way.split()) <= MOST_WORDS - beside), ways[-1])
+
+
+def _beside(missing: str, named: Sequence[str], action: str) -> Doubt:
+    return Doubt(shortened([f"beside {each}, {missing}" for each in named], len(action.split())), action)
 
 
 def _named(labels: Sequence[str]) -> str:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.posterior import UNKNOWN
 from magyc_gtsam.gap.outcome.described import FIELD_VARIES
-from magyc_gtsam.gap.outcome.doubt import LOG_MORE
+from magyc_gtsam.gap.outcome.doubt import LOG_MORE, shortened
 from magyc_gtsam.gap.result import Doubt, Manoeuvre
 
 _SPELLED = 3  # effects that a sentence lists
@@ -22,8 +21,7 @@ def one_of(unsure: Mapping[str, float]) -> str:
 
 def in_brief(unsure: Mapping[str, float], beside: int = _BESIDE) -> str:
     """Return the same in few words, beside so many others: the effects that are named, and the remedy."""
-    brief = [_missing(unsure, count) for count in (2, 1)]
-    return next((each for each in brief if len(each.split()) <= MOST_WORDS - beside), brief[-1])
+    return shortened([_missing(unsure, count) for count in (2, 1)], beside)
 
 
 def which(unsure: Mapping[str, float]) -> Manoeuvre | None:
