@@ -34,8 +34,8 @@ def sentences(effects: Sequence[Effect]) -> list[str]:
     tones = [effect for effect in effects if effect.name == "tone"]
     if len(tones) < 2:
         return [effect.sentence for effect in effects]
-    frequencies = _enumerated([f"{effect.setting['frequency']:.2f}" for effect in tones])
-    sizes = _enumerated([f"{float(np.linalg.norm(effect.value)):.2g}" for effect in tones])
+    frequencies = enumerated([f"{effect.setting['frequency']:.2f}" for effect in tones])
+    sizes = enumerated([f"{float(np.linalg.norm(effect.value)):.2g}" for effect in tones])
     together = f"tones of {frequencies} Hz, {sizes} {tones[0].unit}, are on the magnetometer"
     return [
         together if effect is tones[0] else effect.sentence
@@ -44,7 +44,8 @@ def sentences(effects: Sequence[Effect]) -> list[str]:
     ]
 
 
-def _enumerated(values: Sequence[str]) -> str:
+def enumerated(values: Sequence[str]) -> str:
+    """Return two values or more in words."""
     return f"{', '.join(values[:-1])} and {values[-1]}"
 
 

@@ -43,13 +43,7 @@ def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
     if not why:
         return gap
     doubt = doubt_of_clipped(clipped, why)
-    doubted_gap = replace(
-        gap,
-        verdict=gap.verdict if gap.verdict == "not enough information" else "open",
-        sentence=f"{clipped.where}, {why}: {doubt.action}; {gap.sentence}",
-        base=doubted(gap.base, doubt),
-    )
-    return with_doubt(doubted_gap, doubt)
+    return _opened(gap, f"{clipped.where}, {why}: {doubt.action}", doubt)
 
 
 def _cut_off(calibration: Calibration, clipped: ClippedField) -> Calibration:
@@ -91,9 +85,14 @@ def doubt_of_clipped(clipped: ClippedField, why: str) -> Doubt:
 def with_stuck_bit(gap: Gap, bit: StuckBit) -> Gap:
     """Return the gap, open because a bit of a sensor is stuck or fails, of which the catalogue has no effect."""
     doubt = Doubt(f"a bit of {bit.place} {bit.state}", "replace the sensor, or mend its driver")
+    return _opened(gap, bit.sentence, doubt)
+
+
+def _opened(gap: Gap, why: str, doubt: Doubt) -> Gap:
+    """Return the gap, open unless it lacks information, with both calibrations doubted."""
     verdict = gap.verdict if gap.verdict == "not enough information" else "open"
-    sentence = f"{bit.sentence}; {gap.sentence}"
-    return with_doubt(replace(gap, verdict=verdict, sentence=sentence, base=doubted(gap.base, doubt)), doubt)
+    base = doubted(gap.base, doubt)
+    return with_doubt(replace(gap, verdict=verdict, sentence=f"{why}; {gap.sentence}", base=base), doubt)
 
 
 def remedy(doubt: Doubt, purpose: str) -> Manoeuvre:

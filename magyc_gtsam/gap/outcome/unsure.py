@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.posterior import UNKNOWN
-from magyc_gtsam.gap.outcome.described import FIELD_VARIES
+from magyc_gtsam.gap.outcome.described import FIELD_VARIES, enumerated
 from magyc_gtsam.gap.outcome.doubt import LOG_MORE, shortened
 from magyc_gtsam.gap.result import Doubt, Manoeuvre
 
@@ -44,8 +44,7 @@ def _missing(unsure: Mapping[str, float], count: int) -> str:
     said = {name: _said(name, probability) for name, probability in unsure.items()}
     if len(said) == 1 or count == 1:  # the first that has a name
         return f"{next(words for name, words in said.items() if name != UNKNOWN)} or another effect is missing"
-    spelled = list(said.values())[:count]
-    return f"one of {', '.join(spelled[:-1])} and {spelled[-1]} is missing"
+    return f"one of {enumerated(list(said.values())[:count])} is missing"
 
 
 def _said(name: str, probability: float) -> str:
