@@ -99,7 +99,7 @@ def _row(
     columns, reach = trials.candidates.columns[rows], trials.reach[rows]
     gram = columns @ columns.T
     left = np.maximum(np.diag(gram - reach @ reach.T), 0.0) / np.maximum(np.diag(gram), 1e-300)
-    smallest = found_from(term.name, weighed.everywhere, RULES.found_with)
+    smallest = found_from(term.name, weighed.everywhere)
     confused: dict[str, float] = {}
     if np.isfinite(smallest):
         values = random.standard_normal((_TRIALS, len(rows)))

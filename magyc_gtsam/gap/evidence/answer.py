@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.chain_values import DELAY, SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.candidates import COLOUR
 from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.coloured import beside_colour, coloured, in_place_of_noise, noise_left_by
 from magyc_gtsam.gap.evidence.node import Node
-from magyc_gtsam.gap.evidence.posterior import (
-    Set,
-    SetWeight,
-    normalised,
-    summed,
-    weights,
-)
+from magyc_gtsam.gap.evidence.posterior import Set, SetWeight, normalised, summed, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.sample_effects import SampleEffects, change, left_by
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.model.base import problem_of, root
 from magyc_gtsam.gap.model.colour import ColouredNoise
-from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.model.refit import without_delay
 from magyc_gtsam.gap.samples.first import First
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.recording import Recording
@@ -75,8 +69,9 @@ def answer(
         said[steps.name] = PRIOR.certain
     singles = SampleEffects(recording, names, said, None if steps is None else float(steps.value[0]))
     outline, turn = None, 0
+    bare = without_delay(replace(base.model, noise=level, terms=()))
     while True:
-        tree = Tree(root(problem, _bare(base.model, level)), allowed, base.model.terms, outline)
+        tree = Tree(root(problem, bare), allowed, base.model.terms, outline)
         turn, grown, before = turn + 1, tree.best, singles.recording
         if steps is not None and turn == 1:  # once more, with a better model
             singles.recording, _ = first.without_steps(grown.fit.model)
@@ -88,9 +83,9 @@ def answer(
             possible = [name for name in allowed if name != COLOUR or "quantisation" not in said]
             models, noise = _weighed(tree, possible)
             if noise is not None:
-                bare = tree.nodes[()].fit
+                white = tree.nodes[()].fit
                 del tree, grown  # as large as the next one
-                tree = coloured(noise, bare, possible, base.model.terms)
+                tree = coloured(noise, white, possible, base.model.terms)
                 for key, log in beside_colour(tree).items():
                     models[key] = float(np.logaddexp(models.get(key, -np.inf), log))
             posterior = _posterior(models, said, singles.unsteady)
@@ -104,13 +99,6 @@ def _taken_out(singles: SampleEffects, best: Node, before: Recording) -> bool:
     singles.take_out(best)
     recording = singles.recording
     return recording is not before and change(best, best.fit.twin.residual(), left_by(best, recording)) >= _SAME
-
-
-def _bare(model: Model, level: SensorNoise) -> Model:
-    """Return a model without its effects, with the sensors' own noise."""
-    free, parameters = model.free.copy(), model.parameters.copy()
-    free[DELAY], parameters[DELAY] = False, 0.0
-    return Model(parameters, free, level)
 
 
 def _weighed(tree: Tree, names: Sequence[str]) -> tuple[dict[Set, float], ColouredNoise | None]:

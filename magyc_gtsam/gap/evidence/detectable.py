@@ -14,6 +14,7 @@ from magyc_gtsam.gap.evidence.beside import LEAST
 from magyc_gtsam.gap.evidence.candidates import modes
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import scales_of
+from magyc_gtsam.gap.rules import RULES
 
 ENOUGH = -PRIOR.named  # nats
 
@@ -47,14 +48,14 @@ def power_of(name: str, everywhere: Sequence[tuple[float, Array]]) -> float:
     return _power(_detectable(name, everywhere), 1.0)
 
 
-def found_from(name: str, everywhere: Sequence[tuple[float, Array]], probability: float) -> float:
-    """Return the multiple of the smallest value that matters that is found with a probability; infinite if none is."""
+def found_from(name: str, everywhere: Sequence[tuple[float, Array]]) -> float:
+    """Return the multiple of the smallest value that matters that is found as `Rules.found_with` asks, or infinity."""
     groups = _detectable(name, everywhere)
-    if sum(float(each.share[each.size > 0].sum()) for each in groups) < probability:
+    if sum(float(each.share[each.size > 0].sum()) for each in groups) < RULES.found_with:
         return float("inf")
     size, needed = (np.concatenate([getattr(each, what) for each in groups]) for what in ("size", "needed"))
     middle = 0.5 * float(np.log(np.median(needed / np.maximum(size, 1e-300))))
-    log = brentq(lambda log: _power(groups, float(np.exp(log))) - probability, middle - 30, middle + 30)
+    log = brentq(lambda log: _power(groups, float(np.exp(log))) - RULES.found_with, middle - 30, middle + 30)
     return float(np.exp(log))
 
 

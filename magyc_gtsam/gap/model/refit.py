@@ -181,12 +181,15 @@ def with_term(model: Model, term: Active) -> Model:
 
 def without_term(model: Model, index: int) -> Model:
     """Return a model without one term; without a timing the delay is fixed at 0."""
-    terms = tuple(t for i, t in enumerate(model.terms) if i != index)
-    if model.terms[index].name != "timing":
-        return replace(model, terms=terms)
+    less = replace(model, terms=tuple(t for i, t in enumerate(model.terms) if i != index))
+    return without_delay(less) if model.terms[index].name == "timing" else less
+
+
+def without_delay(model: Model) -> Model:
+    """Return a model with the delay fixed at 0."""
     free, parameters = model.free.copy(), model.parameters.copy()
     free[DELAY], parameters[DELAY] = False, 0.0
-    return replace(model, free=free, parameters=parameters, terms=terms)
+    return replace(model, free=free, parameters=parameters)
 
 
 def with_free_delay(model: Model) -> Model:

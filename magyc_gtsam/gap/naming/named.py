@@ -24,7 +24,7 @@ from magyc_gtsam.gap.evidence.node import FIELD_VARIATION, Node, related
 from magyc_gtsam.gap.evidence.posterior import UNKNOWN, Set, marginals
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.model.problem import Active, Model, Problem
+from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.samples.first import First
@@ -129,9 +129,10 @@ def _probable(posterior: Mapping[Set, float], stated: Mapping[str, float]) -> di
     for name in (name for name in stated if name in TERMS):
         others = [one for one in stated if one in TERMS and related(name, one) and one != name]
         rivals = tuple(one for one in others if _in_place_of(posterior, name, one))
-        together = _any_of(posterior, {name, *rivals})
+        each = {name, *rivals}
+        together = sum(p for (names, _), p in posterior.items() if not each.isdisjoint(names))
         said = {one for first, more in result.items() for one in (first, *more)}
-        most = said.isdisjoint({name, *rivals}) and all(stated[name] >= stated[one] for one in rivals)
+        most = said.isdisjoint(each) and all(stated[name] >= stated[one] for one in rivals)
         if stated[name] > PRIOR.named_from or (known and most and together > PRIOR.named_from):
             result[name] = rivals
     return result
@@ -141,10 +142,6 @@ def _in_place_of(posterior: Mapping[Set, float], name: str, other: str) -> bool:
     """Return whether another effect may well be present instead of one."""
     instead = sum(p for (names, _), p in posterior.items() if other in names and name not in names)
     return instead > PRIOR.improbable
-
-
-def _any_of(posterior: Mapping[Set, float], wanted: AbstractSet[str]) -> float:
-    return sum(p for (names, _), p in posterior.items() if not wanted.isdisjoint(names))
 
 
 def _held(told: AbstractSet[str]) -> set[str]:
@@ -183,17 +180,13 @@ def _fitted(
     model = replace(
         node.fit.model, terms=_each_once(part for term in chosen for part in _parts(term, node.fit.twin.time))
     )
-    return refit(_uncoloured(node), model, short_term)
+    # The calibration takes the noise to be white and widens its covariance.
+    return refit(replace(node.fit.twin.problem, colour=None), model, short_term)
 
 
 def _each_once(terms: Iterable[Active]) -> tuple[Active, ...]:
     """Return terms without repetitions: one step may end where another one is."""
     return tuple({(term.name, *sorted(term.setting.items())): term for term in terms}.values())
-
-
-def _uncoloured(node: Node) -> Problem:
-    """Return the data of a set, of which the calibration takes the noise to be white and widens its covariance."""
-    return replace(node.fit.twin.problem, colour=None)
 
 
 def _parts(term: Active, time: Array) -> Iterator[Active]:
