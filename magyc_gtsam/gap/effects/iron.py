@@ -59,14 +59,13 @@ def _circuits_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 def lagged(twin: Twin) -> list[dict[str, float]]:
     """Return the settings without and with a lag behind the thermometer."""
-    duration = float(twin.time[-1] - twin.time[0])
-    return [references(twin, "temperature") | {"lag": lag} for lag in _LAGS if lag < 0.5 * duration]
+    return [references(twin, "temperature") | {"lag": lag} for lag in _LAGS if lag < 0.5 * twin.duration]
 
 
 def lagged_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     """Return lags between and beyond those of `lagged`, up to the length of the recording."""
     lags = (max(setting["lag"], 10.0) * share for share in (0.0, *NEARBY))
-    return [dict(setting) | {"lag": lag} for lag in lags if lag < twin.time[-1] - twin.time[0]]
+    return [dict(setting) | {"lag": lag} for lag in lags if lag < twin.duration]
 
 
 def edges_of(twin: Twin, count: int, margin: int = _MARGIN) -> Array:

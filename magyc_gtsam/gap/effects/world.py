@@ -38,7 +38,7 @@ def _directions(twin: Twin) -> list[dict[str, float]]:
 
 
 def _widths(twin: Twin) -> list[float]:
-    return [width for width in _WIDTHS if width <= 0.15 * float(twin.time[-1] - twin.time[0])]
+    return [width for width in _WIDTHS if width <= 0.15 * twin.duration]
 
 
 def _bumps(twin: Twin) -> list[dict[str, float]]:
@@ -71,7 +71,7 @@ def _stays_between(twin: Twin, time: float) -> list[dict[str, float]]:
     """
     shortest = 2 * max(_widths(twin), default=_WIDTHS[0])
     ends = [float(end) for end in edges_of(twin, _ENDS, 0)]
-    half = 0.5 * float(twin.time[-1] - twin.time[0])
+    half = 0.5 * twin.duration
     pairs = [sorted((time, end), reverse=abs(end - time) > half) for end in ends if abs(end - time) > shortest]
     return _possible(twin, [{"time": begin, "until": end} for begin, end in pairs])
 

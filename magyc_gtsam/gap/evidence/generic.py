@@ -40,10 +40,9 @@ class Family(NamedTuple):
 
 def families(twin: Twin) -> list[Family]:
     """Return all families that this recording allows."""
-    duration = float(twin.time[-1] - twin.time[0])
     result = []
     for knots in _KNOTS:
-        if duration < knots * RULES.knots_apart:
+        if twin.duration < knots * RULES.knots_apart:
             continue
         hats = partial(_hats, knots=knots)
         result += [

@@ -156,7 +156,8 @@ class Tree:
         best = self.best
         parents = {name: self.nodes.get(best.key_without(name)) for name in best.names}
         for node in [each for each in self.nodes.values() if len(each.fit.model.terms) < PRIOR.depth]:
-            beside = {name for name, one in parents.items() if one is not None and _as_probable(node, one)}
+            others = {n: one for n, one in parents.items() if one is not None and node.differs_by_one_from(one)}
+            beside = {name for name, one in others.items() if node.log > one.log - PRIOR.alike}
             if not beside and not best.has_one_more_than(node) and node.log + node.most < best.log:
                 continue
             added = [each for each in node.found.values() if node.key_with(each.name) == best.key]
@@ -180,8 +181,7 @@ class Tree:
         If both have the same value, one has half as many. Return whether a better set was found.
         """
         best = self.best
-        time = best.fit.twin.time
-        for name, model in joined(best.fit.model, float(time[-1] - time[0])):
+        for name, model in joined(best.fit.model, best.fit.twin.duration):
             fit = self.fits.fit(model, None)
             if fit is not None:
                 self._keep(self.fits.settled(self.fits.node(best.names_without(name), fit, best.search)))
@@ -293,8 +293,3 @@ class Tree:
                     break
                 best = child
         return best if best.log < self.best.log - PRIOR.certain else self.fits.settled(best)
-
-
-def _as_probable(node: Node, other: Node) -> bool:
-    """Return whether a set differs from another one by one name and is about as probable."""
-    return node.differs_by_one_from(other) and node.log > other.log - PRIOR.alike

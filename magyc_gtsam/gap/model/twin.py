@@ -92,6 +92,11 @@ class Twin:
         """Return the times (n,) of the windows, s."""
         return self.chain.windows.time
 
+    @property
+    def duration(self) -> float:
+        """Return the time from the first to the last window, s."""
+        return float(self.time[-1] - self.time[0])
+
     def beside(self, model: Model) -> Twin | None:
         """Return the twin of this model with further terms at 0, without a new linearisation; None for other models."""
         own, count = self.model, len(self.model.terms)

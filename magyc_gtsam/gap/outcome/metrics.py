@@ -179,7 +179,7 @@ def _binned(name: str, unit: str, value: Array, square: Array) -> GapMap:
 def _spectrum(twin: Twin, innovation: Array) -> GapMap:
     n = innovation.shape[1]
     power = (np.abs(np.fft.rfft(innovation, axis=1)[:, 1:]) ** 2).sum(axis=0) / n
-    spacing = float(twin.time[-1] - twin.time[0]) / max(n - 1, 1)
+    spacing = twin.duration / max(n - 1, 1)
     frequency = np.arange(1, len(power) + 1) / (n * spacing)
     groups = np.array_split(np.arange(len(power)), min(_BINS, len(power)))
     count = np.array([len(g) for g in groups])

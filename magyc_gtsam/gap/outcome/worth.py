@@ -49,12 +49,12 @@ def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[fl
     beside = Projector(variation.whiten(rows[local]))
     base, columns = (beside(variation.whiten(rows[i])) for i in (others[~local[others]], own))
     residual = beside(residual)[0]
-    term, duration = twin.model.terms[index], float(twin.time[-1] - twin.time[0])
-    length = min(TERMS[term.name].block(term.setting), duration / RULES.blocks)
+    term = twin.model.terms[index]
+    length = min(TERMS[term.name].block(term.setting), twin.duration / RULES.blocks)
     in_turn = held_out_gain(base, columns, residual, interleaved(twin.time, length))
     if term.name in MOMENTS:  # one half does not predict the other
         return in_turn, in_turn
-    return in_turn, held_out_gain(base, columns, residual, interleaved(twin.time, 0.5001 * duration))
+    return in_turn, held_out_gain(base, columns, residual, interleaved(twin.time, 0.5001 * twin.duration))
 
 
 def expected(with_it: Refit, without: Refit, index: int) -> float:

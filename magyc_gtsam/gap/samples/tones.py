@@ -21,7 +21,7 @@ def heard(recording: Recording, model: Model, frequency: float) -> Term:
     """Estimate the tone near a line of the periodogram, Hz, from the innovations of a model."""
     twin = fine_twin(recording, model)
     v = twin.residual().ravel()
-    bin_width = 1 / float(twin.time[-1] - twin.time[0])
+    bin_width = 1 / twin.duration
     best: tuple[float, Array, Array, float] = -1.0, np.zeros(6), np.eye(6), frequency
     for tried in frequency + np.linspace(-0.6, 0.6, _TRIED) * bin_width:
         columns = twin.whiten(twin.columns("tone", {"frequency": float(tried)}))
