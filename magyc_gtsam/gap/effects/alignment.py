@@ -6,6 +6,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
+from magyc_gtsam.gap.effects.iron import whole
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
@@ -51,10 +52,6 @@ def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
 def _unequal(twin: Twin, value: Array, setting: Setting) -> bool:
     """Return whether the delays of the axes differ by more than one delay of all may deviate from its form."""
     return float(np.square(value - value.mean()).sum()) > RULES.unequal * float(np.square(value).sum())
-
-
-def _whole_recording(twin: Twin) -> list[dict[str, float]]:
-    return [{"start": float(twin.time[0]), "end": float(twin.time[-1])}]
 
 
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
@@ -156,7 +153,7 @@ CLOCK_DRIFT = EffectTerm(
     parameters=("growth of the delay",),
     say=_say_clock_drift,
     motion="turn fast at the beginning and at the end of a longer recording",
-    settings=_whole_recording,
+    settings=lambda twin: [whole(twin)],
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",

@@ -115,20 +115,23 @@ def _ends_first(setting: Setting) -> bool:
     return setting.get("until", np.inf) <= setting.get("time", -np.inf)
 
 
+def whole(twin: Twin) -> dict[str, float]:
+    """Return the setting of what changes over the whole recording, s."""
+    return {"start": float(twin.time[0]), "end": float(twin.time[-1])}
+
+
 def irregular_drifts(twin: Twin) -> Iterator[dict[str, float]]:
     """Yield the settings of the slow part of a random walk, from few modes to as many as its shortest period allows."""
-    start, end = float(twin.time[0]), float(twin.time[-1])
     order = RULES.drift_modes
-    while order * RULES.drift_period <= 2 * (end - start):
-        yield {"order": float(order), "start": start, "end": end}
+    while order * RULES.drift_period <= 2 * twin.duration:
+        yield {"order": float(order)} | whole(twin)
         order *= RULES.drift_finer
 
 
 def drifts(twin: Twin) -> list[dict[str, float]]:
     """Return a straight line, courses of what warms up, and the slow part of a random walk in a few modes or more."""
-    start, end = float(twin.time[0]), float(twin.time[-1])
-    line = {"order": 0.0, "start": start, "end": end}
-    constants = (share * (end - start) for share in _WARMING)
+    line = {"order": 0.0} | whole(twin)
+    constants = (share * twin.duration for share in _WARMING)
     warming = [line | {"constant": each} for each in constants if 2 * each >= RULES.drift_period]
     return [line, *warming, *islice(irregular_drifts(twin), 2)]
 

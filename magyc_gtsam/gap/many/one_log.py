@@ -32,7 +32,6 @@ from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 
 _FINER = 4  # rounds of finding the time of a sudden effect
-
 _OF_THE_LOG = ("start", "end")  # settings that belong to one recording, as the references of channels do
 
 

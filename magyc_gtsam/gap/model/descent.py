@@ -59,7 +59,9 @@ def descended(twin: Twin, farthest: float = np.inf) -> tuple[Twin, Array, bool]:
         step = -covariance @ gradient
         if float(step @ information @ step) < _SETTLED * misfit:
             return twin, covariance, True
-        path = [*path[-_REMEMBERED:], (_values_of(twin.model), step)]
+        terms = (term.value for term in twin.model.estimated)
+        values = np.concatenate([twin.model.parameters[twin.model.free], *terms])
+        path = [*path[-_REMEMBERED:], (values, step)]
         tried = islice(_steps(path, information, gradient), stalled, None)
         ahead, failed = _advance(twin, tried, _ROUNDING * misfit)
         if ahead is None:
@@ -116,11 +118,6 @@ def _accelerated(path: Sequence[tuple[Array, Array]], information: Array) -> Arr
     share = np.linalg.lstsq(gram, changed @ information @ steps[-1], rcond=1e-10)[0]
     result: Array = steps[-1] - share @ (moved + changed)
     return result
-
-
-def _values_of(model: Model) -> Array:
-    """Return the values (q,) of the free parameters, then of the terms."""
-    return np.concatenate([model.parameters[model.free], *(term.value for term in model.estimated)])
 
 
 def _followed(ahead: Twin) -> Twin | None:
