@@ -38,7 +38,7 @@ class RateSpectrum(NamedTuple):
     """The spectrum of a turn rate above its noise, and the steps between the samples.
 
     Attributes:
-        frequency: (k,) Hz.
+        frequency: (k,) Hz, those with power above the noise.
         power: (k,) rad²/s², variance per axis at each frequency.
         step: (m,) s, ascending; without those across which the rotation is not known.
     """
@@ -58,7 +58,9 @@ class RateSpectrum(NamedTuple):
         power = _above_noise(_autocovariance(step, rate, interval))[1:]
         power /= rate.shape[1] * len(power)
         power[-1] *= 0.5  # the Nyquist frequency has one bin, the others two
-        return cls(np.arange(1, len(power) + 1) / (2 * len(power) * interval), power, known)
+        frequency = np.arange(1, len(power) + 1) / (2 * len(power) * interval)
+        seen = power > 0
+        return cls(frequency[seen], power[seen], known)
 
     @property
     def lost(self) -> float:
