@@ -25,18 +25,24 @@ _NAMES = ("gyro-bias-step", "hysteresis", "eddy-plane")
 _PERIOD = 6.0  # s, over which the room's field is correlated
 
 
-def _in_a_room(seed: int, jump: float = 0.0, varies: float = 1.5e-6) -> mg.Recording:
-    """A walk of 100 s, along which the field varies by so much, T; the gyroscope's bias jumps by so much, rad/s."""
-    recording = mg.simulate("wide", 100, rate=20, seed=seed, magnetometer_noise=0.2e-6).recording
+def _with_room(recording: mg.Recording, seed: int, varies: float, period: float) -> mg.Recording:
+    """Add a field that varies along the way by `varies`, T, with a correlation time of `period`, s."""
     assert recording.attitude is not None
-    assert recording.angular_rate is not None
-    keeps = np.exp(-np.median(np.diff(recording.time)) / _PERIOD)
+    keeps = np.exp(-np.median(np.diff(recording.time)) / period)
     noise = np.random.default_rng(seed).standard_normal((len(recording.time), 3))
     place = varies * lfilter([np.sqrt(1 - keeps**2)], [1, -keeps], noise, axis=0)
     field = recording.magnetic_field + Rotation.from_quat(recording.attitude).inv().apply(place)
+    return replace(recording, magnetic_field=field)
+
+
+def _in_a_room(seed: int, jump: float = 0.0, varies: float = 1.5e-6) -> mg.Recording:
+    """A walk of 100 s, along which the field varies by so much, T; the gyroscope's bias jumps by so much, rad/s."""
+    recording = mg.simulate("wide", 100, rate=20, seed=seed, magnetometer_noise=0.2e-6).recording
+    recording = _with_room(recording, seed, varies, _PERIOD)
+    assert recording.angular_rate is not None
     after = (recording.time > recording.time[0] + 50)[:, None]
     rate = recording.angular_rate + jump * after * np.array([0.5, -0.5, 0.7])
-    return replace(recording, magnetic_field=field, angular_rate=rate)
+    return replace(recording, angular_rate=rate)
 
 
 def _best(recording: mg.Recording) -> Node:
@@ -66,6 +72,15 @@ def test_the_power_in_place_of_the_field_is_what_a_fit_without_the_term_leaves_m
         for columns in (terms.base, np.concatenate([terms.base, terms.columns]))
     ]
     np.testing.assert_allclose(explained, left[0] @ left[0] - left[1] @ left[1], rtol=0.01)
+
+
+@pytest.mark.parametrize(("duration", "period"), [(300, 8.0), (600, 8.0), (600, 30.0)])
+def test_what_a_field_varies_fast_is_no_noise_of_the_sensor(duration: int, period: float) -> None:
+    """Sixty cosines do not reach it: it was correlated noise beside the field, or unknown in ten minutes."""
+    recording = _with_room(mg.simulate("wide", duration, rate=10, seed=5).recording, 5, 1e-6, period)
+    gap = mg.find_gap(recording)
+    assert [effect.name for effect in gap.effects] == [FIELD_VARIATION]
+    assert gap.verdict == "closed"
 
 
 def test_a_room_alone_has_no_name() -> None:

@@ -54,6 +54,7 @@ SETTINGS = {
     "saturation": {"level": 3e-5},
     "hysteresis": {"coercive": 1e-5},
     "tone": {"frequency": 1.3},
+    "clock-drift": {"start": 0.0, "end": 5.0},
 }
 
 

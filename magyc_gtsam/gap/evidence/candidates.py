@@ -19,7 +19,7 @@ from magyc_gtsam.gap.effects.iron import irregular_drifts
 from magyc_gtsam.gap.evidence.generic import Family, families
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.columns import Columns, together
-from magyc_gtsam.gap.model.field_variation import CORRELATION, waves
+from magyc_gtsam.gap.model.field_variation import CORRELATION, fewest, waves
 from magyc_gtsam.gap.model.problem import Active, Model
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
@@ -209,7 +209,7 @@ def _courses(twin: Twin, coloured: bool) -> Stack:
     The fast ones are coloured noise, if that is a candidate; the others are an unknown effect. Beside coloured noise
     the fast ones are a part of it.
     """
-    profiles, shapes = waves(twin.time)
+    profiles, shapes = waves(twin.time, fewest(twin))
     fast = np.array(CORRELATION) <= RULES.longest_colour
     if twin.problem.colour is not None:
         shapes, fast = shapes[~fast], fast[~fast]

@@ -171,7 +171,7 @@ class Node:
             if self.variation.evident:
                 result[FIELD_VARIATION] = self.of_field
             colour, contained = self.of_colour
-            if colour > PRIOR.form_of_colour * contained:
+            if self.variation.coloured and colour > PRIOR.form_of_colour * contained:
                 result[COLOUR] = 0.0
         return result
 

@@ -28,7 +28,11 @@ from magyc_gtsam.gap.model.columns import Columns
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
-_MODES = 60  # cosines of time
+_MODES, _MOST_MODES = 60, 240  # cosines of time: as a rule, and where these leave what varies faster
+_SHORTEST = 4.0  # s, half the period of the last one; 60 reach it in the real logs, of up to four minutes
+_LONG = 1800  # windows, half an hour, beyond which more modes take minutes and gigabytes
+# Standard deviation of what varies faster than the modes, relative to the noise of a window, that needs no more modes.
+_NEGLIGIBLE = 0.5
 CORRELATION = (1.0, 4.0, 16.0)  # s
 _AMPLITUDES = 1e-6 * 2.0 ** np.arange(-5.0, 4.0)  # T, over ρ, which is 4 or 5 in rooms
 _SHARES = (0.0, 0.5, 1.0, 2.0)  # amplitude with attitude over that along the way; attitude alone is not the place
@@ -53,6 +57,7 @@ class FieldVariation:
         along, attitude: standard deviations along the way and with attitude, T.
         colour: standard deviation of coloured noise of the magnetometer beside it, T.
         colour_period: correlation time of that, s.
+        faster: standard deviation of what varies along the way faster than the components, by its spectrum, T.
         noise: ρ, relative to the noise of the sensors.
         period: correlation time along the way, s.
         components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ; last those of the colour.
@@ -65,6 +70,7 @@ class FieldVariation:
     attitude: float
     colour: float
     colour_period: float
+    faster: float
     noise: float
     period: float
     components: Array
@@ -75,6 +81,15 @@ class FieldVariation:
     def evident(self) -> bool:
         """Return whether the evidence for a variation is sufficient."""
         return self.gain > RULES.field_varies and self.along > 0
+
+    @property
+    def coloured(self) -> bool:
+        """Return whether the noise beside it is more than what varies faster, which no component describes.
+
+        That varies as noise with a correlation time below the period of the last component. In a field without such
+        noise the two have the same size.
+        """
+        return self.colour**2 > 2 * self.faster**2
 
     @property
     def fast(self) -> bool:
@@ -115,8 +130,19 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
             sensor's axes, which are a cause that moves with the sensor.
         coloured: whether the magnetometer may have coloured noise, too: the fast functions of time in its own axes.
     """
+    modes = fewest(twin)
+    most = min(_MOST_MODES, twin.n // 2, int(twin.duration / _SHORTEST)) if twin.n <= _LONG else modes
+    noise = float(np.median(1 / twin.chain.window_scale))
+    found = _estimated(twin, in_world, coloured, modes)
+    while modes < most and found.faster > _NEGLIGIBLE * found.noise * noise:
+        modes = min(2 * modes, most)
+        found = _estimated(twin, in_world, coloured, modes)
+    return found
+
+
+def _estimated(twin: Twin, in_world: bool, coloured: bool, modes: int) -> FieldVariation:
     put, shares = (_in_world, _SHARES) if in_world else (_in_sensor, (*_SHARES, *_OF_ATTITUDE))
-    cosines, courses = waves(twin.time)
+    cosines, courses = waves(twin.time, modes)
     parts = [put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))]
     if coloured:
         parts.append(_in_sensor(twin, cosines))
@@ -174,6 +200,7 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         shares[share] * along,
         tones[colour] * noise,
         _FAST[(colour - 1) % len(_FAST)] if colour else 0.0,
+        along * _faster(twin.time, len(cosines), period) if period else 0.0,
         noise,
         period,
         scaled,
@@ -189,14 +216,29 @@ def _grid(courses: Array) -> tuple[list[float], list[Array]]:
     return [0.0, *(size for size, _ in grid)], [np.zeros(3 * courses.shape[1]), *(shape for _, shape in grid)]
 
 
-def waves(time: Array) -> tuple[Array, Array]:
-    """Return cosines of time (k, n), and the standard deviations (3, k) of their amplitudes for each correlation time,
-    with unit variance in sum."""
+def fewest(twin: Twin) -> int:
+    """Return the number of cosines of time that a variation is first described by."""
+    return min(_MODES, twin.n // 4)
+
+
+def waves(time: Array, modes: int) -> tuple[Array, Array]:
+    """Return cosines of time (modes, n), and the standard deviations (3, modes) of their amplitudes.
+
+    These are for each correlation time, with unit variance in sum.
+    """
     duration = float(time[-1] - time[0])
-    order = np.arange(1, min(_MODES, len(time) // 4) + 1)
+    order = np.arange(1, modes + 1)
     cosines = np.sqrt(2) * np.cos(order[:, None] * np.pi * (time - time[0]) / duration)
     power = 1 / (1 + (np.pi * order / duration * np.array(CORRELATION)[:, None]) ** 2)
     return cosines, np.sqrt(power / power.sum(axis=1, keepdims=True))
+
+
+def _faster(time: Array, modes: int, period: float) -> float:
+    """Return the standard deviation of the modes of higher order, relative to that of the first `modes`."""
+    step = np.pi * period / float(time[-1] - time[0])
+    own = (1 / (1 + (step * np.arange(1, modes + 1)) ** 2)).sum()
+    rest = (np.pi / 2 - np.arctan(step * (modes + 0.5))) / step
+    return float(np.sqrt(rest / own))
 
 
 def _climbed(
