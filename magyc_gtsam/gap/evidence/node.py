@@ -70,7 +70,8 @@ class Node:
     @cached_property
     def with_sensor(self) -> FieldVariation:
         """Return what varies in the sensor's axes, in place of the field in the world's."""
-        return field_variation(self.fit.twin, in_world=False)
+        modes = None if self.variation is None else self.variation.modes  # the same, to be compared
+        return field_variation(self.fit.twin, in_world=False, modes=modes)
 
     @property
     def in_sensor(self) -> float:

@@ -63,6 +63,7 @@ class FieldVariation:
         components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ; last those of the colour.
         gram: (k, k) products of these.
         colour_columns: number of the latter.
+        modes: number of cosines of time.
     """
 
     gain: float
@@ -76,6 +77,7 @@ class FieldVariation:
     components: Array
     gram: Array
     colour_columns: int
+    modes: int
 
     @property
     def evident(self) -> bool:
@@ -121,7 +123,9 @@ class FieldVariation:
         return columns, 1 - 1 / np.sqrt(1 + value[kept])
 
 
-def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -> FieldVariation:
+def field_variation(
+    twin: Twin, in_world: bool = True, coloured: bool = False, modes: int | None = None
+) -> FieldVariation:
     """Estimate the amplitudes by maximum evidence of the innovations that a model leaves.
 
     Args:
@@ -129,12 +133,15 @@ def field_variation(twin: Twin, in_world: bool = True, coloured: bool = False) -
         in_world: True for functions in the world's axes, which are the place; False for the same functions in the
             sensor's axes, which are a cause that moves with the sensor.
         coloured: whether the magnetometer may have coloured noise, too: the fast functions of time in its own axes.
+        modes: number of cosines of time; None for as many as are needed.
     """
+    if modes is not None:
+        return _estimated(twin, in_world, coloured, modes)
     modes = fewest(twin)
     most = min(_MOST_MODES, twin.n // 2, int(twin.duration / _SHORTEST)) if twin.n <= _LONG else modes
     noise = float(np.median(1 / twin.chain.window_scale))
     found = _estimated(twin, in_world, coloured, modes)
-    while modes < most and found.faster > _NEGLIGIBLE * found.noise * noise:
+    while modes < most and found.period >= _SHORTEST and found.faster > _NEGLIGIBLE * found.noise * noise:
         modes = min(2 * modes, most)
         found = _estimated(twin, in_world, coloured, modes)
     return found
@@ -206,6 +213,7 @@ def _estimated(twin: Twin, in_world: bool, coloured: bool, modes: int) -> FieldV
         scaled,
         gram[np.ix_(use, use)] * (chosen[use, None] * chosen[use]),
         int((colours[colour] > 0).sum()),
+        modes,
     )
 
 
