@@ -82,9 +82,8 @@ class RateSpectrum(NamedTuple):
         square, trapezoid = np.zeros_like(x), np.cos(x)
         for near in self.step[((np.arange(_NEIGHBOURS) + 0.5) / _NEIGHBOURS * len(self.step)).astype(int)]:
             beside = np.maximum(near, _CLOSEST * h)
-            third = (
-                np.cos(x + 2 * np.pi * self.frequency * beside) - trapezoid
-            )  # how much the third sample differs
+            # By how much the third sample of the parabola differs.
+            third = np.cos(x + 2 * np.pi * self.frequency * beside) - trapezoid
             square += (np.sin(x) / x - trapezoid + third * h**2 / (6 * beside * (h + beside))) ** 2
         return np.interp(step, length, np.append(0.0, length[1:] ** 2 * (square @ self.power) / _NEIGHBOURS))
 

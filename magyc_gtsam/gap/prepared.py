@@ -29,9 +29,7 @@ _MEND = "choose an interval without it (start=, end=), or have the sensor repair
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
 _LOG_SAMPLES = "log its own samples with their times, or give the rows in which it is new"
 _SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
-
-
-_PER_WINDOW = 0.5e6  # bytes, of the search where the field varies; 0.3e6 without
+_PER_WINDOW = 0.5e6  # bytes of the search where the field varies; 0.3e6 without
 
 
 def _expect_memory(windows: int, duration: float) -> None:

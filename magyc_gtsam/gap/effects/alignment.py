@@ -144,8 +144,8 @@ CLOCK_DRIFT = EffectTerm(
     label="clocks of the two sensors that drift apart",
     physics=(
         "Two recorders, or a sensor that stamps its own samples, have clocks that differ by some parts in ten "
-        "thousand. The delay between the sensors then grows over the recording, beside its mean, which is a "
-        "`timing`. Where the vehicle turns fast for a part of the log only, the two resemble each other."
+        "thousand. The delay between the sensors then grows over the recording, beside its mean, which is an "
+        "effect of its own. Where the vehicle turns fast for a part of the log only, the two resemble each other."
     ),
     unit="ms",
     matters=5e-3,
