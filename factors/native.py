@@ -47,7 +47,7 @@ class NativeFactors(NotSaved):
         quadratic: False keeps the Python factors as they are, for graphs that stay small; alignment and health do not
             change.
         alignment: limits of the coarse alignment; None lets every block enter at once.
-        health: limits of the health; None computes no NIS. Blocks of a disturbance that has ended leave the graph.
+        health: limits of the health; None judges no block and computes no NIS. Blocks of a disturbance that has ended leave the graph.
 
     Attributes:
         replaced: number of replacements so far.
@@ -90,7 +90,9 @@ class NativeFactors(NotSaved):
         """The agreement of the blocks with the rest of the graph, and the cause of any contradiction."""
         if self.waiting:
             return self._admission.health
-        return Health(HealthStatus.CONSISTENT) if self._examiner is None else self._examiner.monitor.health
+        if self._examiner is None:
+            return Health(HealthStatus.WAITING, "no block is judged (health=None)")
+        return self._examiner.monitor.health
 
     @property
     def mounting_error(self) -> Array | None:
