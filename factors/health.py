@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
+from math import isfinite
 from statistics import median
 
 import numpy as np
@@ -78,7 +79,8 @@ class Health:
     nis: float = float("nan")
 
     def __str__(self) -> str:
-        return f"{self.status}: {self.by} since {self.since:.1f} s" if self.by else str(self.status)
+        since = f" since {self.since:.1f} s" if isfinite(self.since) else ""
+        return f"{self.status}: {self.by}{since}" if self.by else str(self.status)
 
 
 class _Sums:

@@ -47,7 +47,8 @@ class NativeFactors(NotSaved):
         quadratic: False keeps the Python factors as they are, for graphs that stay small; alignment and health do not
             change.
         alignment: limits of the coarse alignment; None lets every block enter at once.
-        health: limits of the health; None judges no block and computes no NIS. Blocks of a disturbance that has ended leave the graph.
+        health: limits of the health; None judges no block and computes no NIS. Blocks of a disturbance that has ended
+            leave the graph.
 
     Attributes:
         replaced: number of replacements so far.

@@ -146,7 +146,7 @@ def test_nothing_is_said_of_a_mounting_that_no_block_holds():
     native = NativeFactors()
     assert native.mounting_sigma is None
     assert NativeFactors(health=None).mounting_sigma is None
-    assert str(NativeFactors(health=None).health.status) == "waiting"
+    assert str(NativeFactors(health=None).health) == "waiting: no block is judged (health=None)"
 
 
 def test_an_offset_that_is_not_identified_is_no_turned_mounting(monkeypatch):

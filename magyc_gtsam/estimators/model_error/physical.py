@@ -31,8 +31,8 @@ _BAND = 0.02  # rad/s, half the width of a gyroscope's dead band
 _DATA_SHEET = 0.03  # share, largest scale error of a gyroscope under the prior
 LATE_DRIFT = "late drift"
 CROSS_AXIS = "gyroscope:cross-axis"
-# Share, largest cross-axis sensitivity under the prior. Data sheets state 1 to 2 % at most; with 0.45 % the heading of one
-# of 56 cars is beyond three sigmas, with 0.9 % of a quarter.
+# Share, largest cross-axis sensitivity under the prior. Data sheets state 1 to 2 % at most; with 0.45 % the heading of
+# one of 56 cars is beyond three sigmas, with 0.9 % that of seven of 28.
 _CROSS_AXIS = 0.005
 # Share, largest scale error that the data may show. A gyroscope filtered by 0.5 s loses 10 to 30 % of oscillations,
 # which looks like a scale error: with a bound of 3 %, a trusted hard iron was 17 µT off at 4 to 5 sigmas.
