@@ -83,6 +83,9 @@ class Health:
         return f"{self.status}: {self.by}{since}" if self.by else str(self.status)
 
 
+UNJUDGED = Health(HealthStatus.WAITING, "no block is judged (health=None)")
+
+
 class _Sums:
     """NIS and degrees of freedom summed over the last blocks."""
 

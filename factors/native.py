@@ -23,7 +23,7 @@ from magyc_gtsam.factors.block_fit import BlockFit
 from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.examination import Examiner
-from magyc_gtsam.factors.health import Health, HealthLimits, HealthStatus
+from magyc_gtsam.factors.health import UNJUDGED, Health, HealthLimits
 from magyc_gtsam.factors.intake import NotSaved, expect_options, expect_problem, expect_values, unchanged_on_error
 from magyc_gtsam.factors.one_sensor import expect_one_sensor
 from magyc_gtsam.factors.one_thread import one_thread
@@ -47,8 +47,7 @@ class NativeFactors(NotSaved):
         quadratic: False keeps the Python factors as they are, for graphs that stay small; alignment and health do not
             change.
         alignment: limits of the coarse alignment; None lets every block enter at once.
-        health: limits of the health; None judges no block and computes no NIS. Blocks of a disturbance that has ended
-            leave the graph.
+        health: limits of the health; None judges no block. Blocks of a disturbance that has ended leave the graph.
 
     Attributes:
         replaced: number of replacements so far.
@@ -91,9 +90,7 @@ class NativeFactors(NotSaved):
         """The agreement of the blocks with the rest of the graph, and the cause of any contradiction."""
         if self.waiting:
             return self._admission.health
-        if self._examiner is None:
-            return Health(HealthStatus.WAITING, "no block is judged (health=None)")
-        return self._examiner.monitor.health
+        return UNJUDGED if self._examiner is None else self._examiner.monitor.health
 
     @property
     def mounting_error(self) -> Array | None:
