@@ -134,3 +134,13 @@ def test_an_effect_that_explains_nothing_beside_later_ones_is_left_out() -> None
     effects = (("gyro-quadratic", 1.0), ("temperature-gyro", 1.0))
     gap = mg.find_gap(generate(Scenario(name, "pair", "moderate", seed_of(name, 409), effects)).recording)
     assert set(gap.names) == {"gyro-quadratic", "temperature-gyro"}
+
+
+def test_an_axis_with_more_noise_is_nothing_unknown() -> None:
+    """Half as much again on z, as of many sensors: it had a probability of 1, and the gap was refused."""
+    recording = mg.simulate("wide", 600, seed=41).recording
+    more = np.random.default_rng(41).standard_normal((len(recording.time), 3)) * [0.0, 0.0, 1.1e-6]
+    gap = mg.find_gap(replace(recording, magnetic_field=recording.magnetic_field + more))
+    assert gap.verdict in ("none", "closed")
+    assert gap.probabilities[UNKNOWN] < 0.1
+    assert gap.calibration.trusted, gap.calibration.message

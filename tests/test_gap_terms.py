@@ -197,6 +197,25 @@ def test_a_delay_that_grows_reads_each_sample_at_its_own_time() -> None:
     np.testing.assert_allclose(form.derivatives(at, np.zeros(1), setting), form.columns(at, setting), atol=1e-12)
 
 
+def test_a_delay_that_grows_beside_a_constant_one_is_that_of_the_attitude_then() -> None:
+    """In a swing of 1 rad to and fro; of turns until the stamps 0.5 µT and more remained."""
+    axis, late, growth = np.array([2.0, -1.0, 2.0]) / 3, 0.1, 0.2
+    time = np.linspace(0, 30, 6001)
+
+    def field(when: np.ndarray) -> np.ndarray:
+        about = exponential_matrices(-np.outer(axis, np.sin(2 * when)))
+        return np.einsum("ijn,j->in", about, [2e-5, 0.0, 4e-5])
+
+    rate = np.outer(axis, 2 * np.cos(2 * time))
+    read = SOFT @ field(time - late - growth * ((time - late) / 30 - 0.5)) + HARD[:, None]
+    cal = calibration(
+        Term("clock-drift", [growth], np.eye(1) * 1e-8, {"start": 0.0, "end": 30.0}),
+        Term("timing", [late], np.eye(1) * 1e-8),
+    )
+    off = cal.apply(read.T, time=time, angular_rate=rate.T + BIAS).T - field(time - late)
+    assert np.abs(off[:, 100:-100]).max() < 0.1e-6
+
+
 def test_late_axes_are_corrected_without_adding_noise() -> None:
     """From sample to sample at 200 Hz; a correction to second order diverged."""
     delay, time = np.array([0.05, 0.2, 0.08]), np.linspace(0, 20, 4001)

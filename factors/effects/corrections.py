@@ -14,6 +14,7 @@ from magyc_gtsam.factors.chain.turning import aligned
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.factors.effects.turning import Turning
 
 _PASSES = 20  # largest number of Newton steps; most inputs need three
 _TOLERANCE = 1e-12  # T and rad/s, largest residual of a solution
@@ -107,6 +108,9 @@ def corrected_field(
     signals = replace(signals, soft_iron=soft_iron)
     if "to_sensor" in needed:
         signals = replace(signals, to_sensor=_to_sensor(signals))
+    late = sum(float(term.value[0]) for term in terms if term.name == "timing")
+    if late and any(FORMS[term.name].exact for term in own):  # the turns are those before the field was read
+        signals = replace(signals, turning=Turning(signals.time, signals.need("rate"), signals.time - late))
 
     def added(iron: Array) -> Array:
         at = replace(signals, field=iron, hard_iron=hard_iron)

@@ -32,8 +32,9 @@ def colour_of(innovation: Array) -> Colour:
     rows = innovation.reshape(3, -1)
     rows = rows / np.sqrt(min(float((rows**2).mean()), 1.0))
     alike = float(np.logaddexp(_autoregression(rows), _beside_white(rows))) - float(np.log(2))
-    direction = np.linalg.eigh(rows @ rows.T)[1]
-    return Colour(alike, sum(_autoregression(row[None]) for row in direction.T @ rows))
+    along = np.linalg.eigh(rows @ rows.T)[1].T @ rows
+    along /= np.sqrt((along**2).mean(axis=1, keepdims=True))  # the axes of a sensor may have unequal white noise
+    return Colour(alike, sum(_autoregression(row[None]) for row in along))
 
 
 def _autoregression(rows: Array) -> float:
