@@ -18,6 +18,7 @@ from magyc_gtsam.gap.model.colour import Autoregression
 
 _TIMES = (0.5, 1.0, 2.0, 4.0)  # windows, about s: correlation times of colour on white noise
 _SHARES = (0.1, 0.2, 0.5, 1.0, 2.0)  # power of the colour relative to the white noise
+_CORRELATED = 3.0  # nats, from which neighbours along one direction are correlated
 
 
 class Colour(NamedTuple):
@@ -33,8 +34,9 @@ def colour_of(innovation: Array) -> Colour:
     rows = rows / np.sqrt(min(float((rows**2).mean()), 1.0))
     alike = float(np.logaddexp(_autoregression(rows), _beside_white(rows))) - float(np.log(2))
     along = np.linalg.eigh(rows @ rows.T)[1].T @ rows
-    along /= np.sqrt((along**2).mean(axis=1, keepdims=True))  # the axes of a sensor may have unequal white noise
-    return Colour(alike, sum(_autoregression(row[None]) for row in along))
+    # The axes of a sensor may have unequal white noise: without correlation, more power along one is no colour.
+    alone = sum(_autoregression(row[None] / np.sqrt(np.mean(row**2))) for row in along)
+    return Colour(alike, sum(_autoregression(row[None]) for row in along) if alone > _CORRELATED else alone)
 
 
 def _autoregression(rows: Array) -> float:
