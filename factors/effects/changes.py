@@ -14,6 +14,7 @@ from scipy.linalg import solve_banded
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS
 from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.factors.effects.turning import line
 from magyc_gtsam.factors.errors import MagycError
 
 Setting = Mapping[str, float]
@@ -120,14 +121,8 @@ def gain_drift(s: Signals, setting: Setting) -> Array:
     return per_axis(_course(s, setting)) * _reading(s)
 
 
-def line(s: Signals, setting: Setting) -> Array:
-    """Return a line (n,) that grows by 1 from `start` to `end`, and is 0 halfway."""
-    result: Array = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"]) - 0.5
-    return result
-
-
 def _course(s: Signals, setting: Setting) -> Array:
-    straight, order = line(s, setting), int(setting["order"])
+    straight, order = line(s.need("time"), setting["start"], setting["end"]), int(setting["order"])
     share = np.clip(straight + 0.5, 0.0, 1.0)
     if order == 0:
         if "constant" not in setting:

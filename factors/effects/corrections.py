@@ -108,7 +108,7 @@ def corrected_field(
     signals = replace(signals, soft_iron=soft_iron)
     if "to_sensor" in needed:
         signals = replace(signals, to_sensor=_to_sensor(signals))
-    late = sum(float(term.value[0]) for term in terms if term.name == "timing")
+    late = lag_of(terms)
     if late and any(FORMS[term.name].exact for term in own):  # the turns are those before the field was read
         signals = replace(signals, turning=Turning(signals.time, signals.need("rate"), signals.time - late))
 
@@ -127,6 +127,11 @@ def corrected_field(
         if term.name == "misalignment":
             field = exponential_matrices(term.value[:, None])[:, :, 0] @ field
     return turn.T @ field
+
+
+def lag_of(terms: Sequence[Term]) -> float:
+    """Return by how much the magnetometer lags the gyroscope by the terms of a calibration, s."""
+    return sum(float(term.value[0]) for term in terms if term.name == "timing")
 
 
 def _without_drift(signals: Signals, field: Array) -> Array:

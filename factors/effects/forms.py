@@ -19,7 +19,7 @@ from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matric
 from magyc_gtsam.factors.effects import changes
 from magyc_gtsam.factors.effects.changes import Setting, per_axis
 from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
-from magyc_gtsam.factors.effects.turning import Grows
+from magyc_gtsam.factors.effects.turning import Grows, line
 from magyc_gtsam.factors.errors import MagycError
 
 _COERCIVE = (np.arange(8) + 0.5) / 8  # coercive fields of the pieces of a hysteresis, relative to the largest
@@ -92,13 +92,14 @@ def _earlier(s: Signals, delay: float, grows: Grows = None) -> tuple[Array, Arra
 
 
 def _clock_drift(s: Signals, setting: Setting) -> Array:
-    return -(s.need("field_rate") * changes.line(s, setting))[None]
+    return -(s.need("field_rate") * line(s.need("time"), setting["start"], setting["end"]))[None]
 
 
 def _by_another_clock(s: Signals, delay: Array, setting: Setting) -> tuple[Array, Array]:
     """Return what a delay that grows by a value (1,) adds to the reading (3, n), and its derivative (1, 3, n)."""
-    reading, change = _earlier(s, float(delay[0]), (setting["start"], setting["end"]))
-    return reading - s.need("field"), (change * changes.line(s, setting))[None]
+    ends = setting["start"], setting["end"]
+    reading, change = _earlier(s, float(delay[0]), ends)
+    return reading - s.need("field"), (change * line(s.need("time"), *ends))[None]
 
 
 def _eddy_plane(s: Signals, setting: Setting) -> Array:

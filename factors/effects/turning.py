@@ -15,6 +15,11 @@ _KEPT = 4  # delays: one of each axis, and one that grows
 Grows = tuple[float, float] | None
 
 
+def line(time: Array, start: float, end: float) -> Array:
+    """Return a line (n,) over times (n,) that grows by 1 from `start` to `end`, and is 0 halfway."""
+    return (time - start) / (end - start) - 0.5
+
+
 @dataclass(frozen=True, eq=False)
 class Turning:
     """The rate of turn of a sensor, and the rows at which its turn is asked for.
@@ -41,7 +46,7 @@ class Turning:
             grows: (start, end) s, between which the delay grows by `delay`, and is 0 halfway; None if it is constant.
         """
         if (delay, grows) not in self._known:
-            share = 1.0 if grows is None else (self.rows - grows[0]) / (grows[1] - grows[0]) - 0.5
+            share = 1.0 if grows is None else line(self.rows, *grows)
             then, rate = self._until(self.rows - delay * share)
             self._known[delay, grows] = self.mean(self._now - then), self.mean(rate)
             for oldest in list(self._known)[:-_KEPT]:

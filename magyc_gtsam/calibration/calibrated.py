@@ -9,17 +9,13 @@ import numpy as np
 
 from magyc_gtsam.calibration.calibration import Calibration
 from magyc_gtsam.calibration.elsewhere import TermWarning
+from magyc_gtsam.factors.effects.corrections import lag_of
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.held import with_equal_samples
 
 # Standard deviation of the calibrated strength, relative to it: another unit's calibration gives a quarter, real logs
 # with their own up to 7 %.
 _UNEVEN = 0.12
-
-
-def lag_of(calibration: Calibration) -> float:
-    """Return by how much the magnetometer lags the gyroscope in s by the terms of a calibration."""
-    return sum(float(term.value[0]) for term in calibration.terms if term.name == "timing")
 
 
 def calibrated(calibration: Calibration, recording: Recording) -> Recording:
@@ -65,4 +61,4 @@ def without_lag(recording: Recording, lag: float) -> Recording:
 
 def calibrated_on_time(calibration: Calibration, recording: Recording) -> Recording:
     """Return the calibrated recording with the lag of the magnetometer by the calibration's terms taken from it."""
-    return without_lag(calibrated(calibration, recording), lag_of(calibration))
+    return without_lag(calibrated(calibration, recording), lag_of(calibration.terms))

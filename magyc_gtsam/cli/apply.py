@@ -52,8 +52,9 @@ def run(
     marked as calibrated: `apply` and `history` refuse it as a LOG, other commands read it and note the mark.
     """
     from magyc_gtsam.calibration import Calibration
-    from magyc_gtsam.calibration.calibrated import calibrated, lag_of, uneven, without_lag
+    from magyc_gtsam.calibration.calibrated import calibrated, uneven, without_lag
     from magyc_gtsam.calibration.elsewhere import on_recording
+    from magyc_gtsam.factors.effects.corrections import lag_of
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.recording.applied import ONLY_THE_REST, as_calibrated, is_calibrated
     from magyc_gtsam.recording.held import with_equal_samples
@@ -80,7 +81,7 @@ def run(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             result = as_calibrated(with_equal_samples(calibrated(calibration, recording)))
-        lag = lag_of(calibration)
+        lag = lag_of(calibration.terms)
         writing = stage("writing")
         if output.suffix.lower() == ".mcap":
             written, remark = _write_mcap(part, reading, result, lag, writing)

@@ -30,7 +30,7 @@ from magyc_gtsam.gap.rules import RULES
 
 _MODES, _MOST_MODES = 60, 240  # cosines of time: as a rule, and where these leave what varies faster
 _SHORTEST = 4.0  # s, half the period of the last one; 60 reach it in the real logs, of up to four minutes
-_LONG = 1800  # windows, half an hour, beyond which more modes take minutes and gigabytes
+_LONG = 1800  # windows, half an hour of them by the second, beyond which more modes take minutes and gigabytes
 # Standard deviation of what varies faster than the modes, relative to the noise of a window, that needs no more modes.
 _NEGLIGIBLE = 0.5
 CORRELATION = (1.0, 4.0, 16.0)  # s
