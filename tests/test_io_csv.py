@@ -193,6 +193,19 @@ def test_every_column_must_be_named(tmp_path: Path) -> None:
         read(path, columns="t,mx,my,mz")
 
 
+def test_comments_and_separators_at_the_end_of_lines_as_xsens_writes_them(tmp_path: Path) -> None:
+    lines = ["// Start Time: 0", "// Sample rate: 100.0Hz", "Counter\tGyr_X\tGyr_Y\tGyr_Z\tMag_X\tMag_Y\tMag_Z"]
+    lines += [f" {k}\t" + "\t".join(map(repr, [*RATE[k].tolist(), *FIELD[k].tolist()])) + "\t" for k in range(N)]
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(lines) + "\n")
+    back = read(path, rate=100)
+    np.testing.assert_array_equal(back.magnetometer.value, FIELD)
+    np.testing.assert_array_equal(back.gyroscope.value, RATE)
+    path.write_text("\n".join([*lines[:9], lines[9] + "7\t", *lines[10:]]))
+    with pytest.raises(MagycError, match="line 10: 9 values, expected 8"):
+        read(path, rate=100)
+
+
 def test_empty_cells_are_another_sensors_rows(tmp_path: Path) -> None:
     lines = ["time,mx,my,mz,gx,gy,gz,note,current"]
     for k in range(N):

@@ -12,6 +12,7 @@ _PIECE = 1 << 20  # bytes read at once
 _HEAD = 1 << 14  # bytes read at once to find the header
 _LONGEST = 1 << 20  # characters of a line
 _LONGEST_BYTES = 1 << 25  # of a line, before it is decoded
+COMMENT = ("#", "//")  # the second is that of Xsens
 
 
 class DataLines(NamedTuple):
@@ -73,8 +74,8 @@ def pieces_of(path: Path) -> Iterator[tuple[DataLines, int]]:
         text = _text(data, path, number)
         numbers: Sequence[int] = range(number + 1, number + len(text) + 1)
         number += len(text)
-        if b"#" in data or not all(map(str.strip, text)):
-            kept = [k for k, line in enumerate(text) if line.strip() and not line.lstrip().startswith("#")]
+        if b"#" in data or b"//" in data or not all(map(str.strip, text)):
+            kept = [k for k, line in enumerate(text) if line.strip() and not line.lstrip().startswith(COMMENT)]
             text, numbers = [text[k] for k in kept], [numbers[k] for k in kept]
         if text:
             yield DataLines(numbers, text, b'"' in data), place

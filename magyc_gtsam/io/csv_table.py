@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.csv_columns import Column, parse_header, sensor_sets
-from magyc_gtsam.io.csv_lines import DataLines, lines_of, pieces_of
+from magyc_gtsam.io.csv_lines import COMMENT, DataLines, lines_of, pieces_of
 from magyc_gtsam.io.growing import GrowingColumns
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ class Table:
         path: the file.
         separator: None for blanks.
         columns: empty if the file has no header.
-        width: number of cells per line.
+        width: number of cells per line of data, with an empty one behind a separator at the end.
         first: cells of the first line of data.
         header: number of the header line; 0 without one.
     """
@@ -170,8 +170,8 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
     lines = 0
     for number, line in lines_of(path):
         lines = number
-        if line.lstrip().startswith("#"):
-            comment = line.lstrip().lstrip("#").strip() if not head else comment
+        if line.lstrip().startswith(COMMENT):
+            comment = line.strip(" \t#/") if not head else comment
         elif line.strip():
             head.append((number, line))
             if len(head) == 2:
@@ -192,7 +192,8 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
     if not head:
         raise MagycError(f"{path}: holds a header but no data")
     first = _split(head[0][1], separator)
-    if columns and len(first) != len(columns):
+    ended = separator is not None and not first[-1].strip()  # a separator behind the last value of each line
+    if columns and len(first) - ended != len(columns) != len(first):
         remedy = "repair or remove the line" if names is None else "name every column of the table (columns=)"
         raise MagycError(
             f"{path}, line {head[0][0]}: {len(first)} values, expected {len(columns)}; {remedy}{header_hint(path)}"
