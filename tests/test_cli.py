@@ -366,7 +366,10 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("apply none.yaml {logs}/dive.mcap --output=", "'--output' / '-o': must be a path, got ''"),
         ("export none.yaml px4 --output=", "'--output' / '-o': must be a path, got ''"),
         ("export none.yaml px4 -o {logs}", "none.yaml: no such file"),
-        ("calibrate {logs}/dive.mcap --noise nan 1", "--noise: both values must be more than 0"),
+        (
+            "calibrate {logs}/dive.mcap --noise nan 1",
+            "--noise: the magnetometer's must be above 0 and below 1000 µT",
+        ),
         ("calibrate --config {logs}/none.yaml", "--config: "),
         ("calibrate --config {logs}/text.csv", "name a configuration.yaml"),
         ("calibrate {logs}/dive.mcap --location 1 2", "give --date YYYY-MM-DD too"),
@@ -374,7 +377,29 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("calibrate {logs}/dive.mcap --prior nowhere.yaml", "no such file"),
         ("calibrate {logs}/dive.mcap --hard-iron-walk 2", "since an earlier calibration; give it"),
         ("calibrate {logs}/dive.mcap --misalignment -1", "number of degrees from 0 to 45, or 'auto', got '-1'"),
-        ("calibrate {logs}/dive.mcap --soft-iron-walk -2", "--soft-iron-walk: must be 0 or more, got -2"),
+        (
+            "calibrate {logs}/dive.mcap --soft-iron-walk -2",
+            "--soft-iron-walk: must be 0 or more and below 1000 %, got -2",
+        ),
+        (
+            "calibrate {logs}/dive.mcap --soft-iron-walk 2000",
+            "--soft-iron-walk: must be 0 or more and below 1000 %",
+        ),
+        (
+            "calibrate {logs}/dive.mcap --hard-iron-walk 2000000",
+            "--hard-iron-walk: must be 0 or more and below 1000000 µT, got 2000000",
+        ),
+        ("calibrate {logs}/dive.mcap --gyroscope-scale 15", "--gyroscope-scale: must be 0 or more and below 10 %"),
+        ("calibrate {logs}/dive.mcap --noise 1 20000", "the gyroscope's must be above 0 and below 10000 mrad/s"),
+        (
+            "calibrate {logs}/dive.mcap --heading h --heading-sigma 0 --location 1 2 --date 2024-06-01",
+            "--heading-sigma: must be above 0 and below 180 degrees, got 0",
+        ),
+        ("calibrate {logs}/dive.mcap --window 100", "--window must be above 0 and below 60 s, got 100"),
+        (
+            "online {logs}/dive.mcap --hard-iron-walk 2000000",
+            "--hard-iron-walk: must be 0 or more and below 1000000",
+        ),
         ("calibrate {logs}/dive.mcap --gyroscope-axes x,y,y", "such as 'y,-x,z'"),
         ("calibrate {logs}/dive.mcap --angular-rate-is never", "'never' is not one of"),
         ("calibrate {logs}/dive.mcap --frobnicate", "No such option: --frobnicate"),

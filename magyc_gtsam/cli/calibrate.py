@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,8 +13,9 @@ from magyc_gtsam.cli.accelerometer import calibrate_accelerometer
 from magyc_gtsam.cli.known import GivenFacts, Scale
 from magyc_gtsam.cli.many import calibrate_logs, each_compass, each_log, many
 from magyc_gtsam.cli.options import CONFIGURED, with_groups
+from magyc_gtsam.cli.ranges import MICRO, MILLI, in_si
 from magyc_gtsam.cli.reading import Reading, parse_pairs
-from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder
+from magyc_gtsam.cli.results import Task, calibrate_log, check_task, dated_folder
 from magyc_gtsam.cli.terminal import (
     complain,
     concluded,
@@ -133,6 +133,7 @@ def run(
             if wanted:
                 raise typer.BadParameter("not with --sensor accelerometer, which takes one LOG", param_hint=name)
         return calibrate_accelerometer(task, quiet, json)
+    check_task(task)
     if engine != "local" and not (every or many(reading.log, more)):
         raise given.without_effect("--engine", "several logs or --all")
     if every or many(reading.log, more):
@@ -174,24 +175,22 @@ def _method_options(
     pairs: list[str] | None,
 ) -> dict[str, Any]:
     """Return the arguments of `magyc_gtsam.calibrate`, in SI units: those of --config, then what was given."""
+    from magyc_gtsam.estimators.gauge import LARGEST_NOISE
     from magyc_gtsam.factors.errors import MagycError
 
     options: dict[str, Any] = known | {"robust": robust, "window": window}
     if noise is not None:
-        if not min(noise) > 0 or not max(noise) < math.inf:
-            raise MagycError(
-                f"--noise: both values must be more than 0 and finite, got {noise[0]:g} µT and {noise[1]:g} mrad/s"
-            )
-        for sensor, value, unit, factor in (
-            ("magnetometer", noise[0], "µT", 1e6),
-            ("gyroscope", noise[1], "mrad/s", 1e3),
+        options["noise"] = []
+        for sensor, value, unit, scale, most in (
+            ("magnetometer", noise[0], "µT", MICRO, LARGEST_NOISE[0]),
+            ("gyroscope", noise[1], "mrad/s", MILLI, LARGEST_NOISE[1]),
         ):
+            options["noise"].append(in_si(f"--noise: the {sensor}'s", value, unit, scale, most, zero=False))
             if value < _LEAST_NOISE:
                 raise MagycError(
                     f"--noise: the {sensor}'s must be at least {_LEAST_NOISE:g} {unit}, got {value:g}; if it is in SI "
-                    f"units, give {value * factor:g} {unit}"
+                    f"units, give {value / scale:g} {unit}"
                 )
-        options["noise"] = [noise[0] * 1e-6, noise[1] * 1e-3]
     if delay not in (None, "auto"):
         try:
             options["delay"] = float(str(delay)) * 1e-3

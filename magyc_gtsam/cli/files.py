@@ -113,14 +113,26 @@ def _named(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _temporary(place: Path) -> Iterator[Path]:
-    """Yield a temporary directory in `place`, which is created if needed, and removed again if the block raises."""
+def made(place: Path) -> Iterator[None]:
+    """Make a folder with its parents for the block; those that are empty after it are removed again."""
     missing = [p for p in (place, *place.parents) if not p.exists()]
     _refuse_files((place, *place.parents))
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        with _unstoppable():
+            for folder in missing:
+                with contextlib.suppress(OSError):  # it is in use, or another run removed it
+                    folder.rmdir()
+
+
+@contextmanager
+def _temporary(place: Path) -> Iterator[Path]:
+    """Yield a temporary directory in `place`, which is made as by `made`."""
     directory: Path | None = None
-    with contextlib.ExitStack() as open_files:
+    with made(place), contextlib.ExitStack() as open_files:
         try:
-            place.mkdir(parents=True, exist_ok=True)
             # Another process that looks for orphans must not see the directory without its lock.
             with _one_at_a_time(place), _unstoppable():
                 _remove_orphans(place)
@@ -132,9 +144,6 @@ def _temporary(place: Path) -> Iterator[Path]:
             with _unstoppable():
                 if directory is not None:
                     shutil.rmtree(directory, ignore_errors=True)
-                for folder in missing:
-                    if folder.exists() and not any(folder.iterdir()):
-                        folder.rmdir()
             raise
         with _unstoppable():
             shutil.rmtree(directory, ignore_errors=True)

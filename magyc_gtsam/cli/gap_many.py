@@ -52,6 +52,7 @@ def gap_of_logs(
     from magyc_gtsam.gap.many.result import LogLeftOut
     from magyc_gtsam.storage.files import write_text
 
+    reading.check()
     recordings, unread = [], []
     folder = output or dated_folder(Path("logs"), "-gap")
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:

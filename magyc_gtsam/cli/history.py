@@ -12,7 +12,7 @@ import typer
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.interrupts import explained
-from magyc_gtsam.cli.known import Scale
+from magyc_gtsam.cli.known import Scale, scale_sigma
 from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading
@@ -100,6 +100,7 @@ def _followed(
         _NoneUsableError: a new history without a usable log.
     """
     from magyc_gtsam.engine import run_many
+    from magyc_gtsam.estimators import check_options
     from magyc_gtsam.history import History, LogFactor
     from magyc_gtsam.io.many import find_logs
     from magyc_gtsam.report.summary_page import history_page, judged_history, parts_left_out
@@ -112,7 +113,9 @@ def _followed(
     if strength is not None:
         options["field_strength"] = strength
     if gyroscope_scale is not None:
-        options["gyroscope_scale"] = gyroscope_scale * 1e-2
+        options["gyroscope_scale"] = scale_sigma(gyroscope_scale)
+    reading.check()
+    check_options(**options)
     tasks = {name: (replace(reading, log=log), options) for log, name in distinct_names(logs).items()}
     folder = output or dated_folder(Path("history"))
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.ranges import MICRO, PERCENT, in_si
 
 if TYPE_CHECKING:
     from magyc_gtsam.world_field import WorldField
@@ -151,7 +152,7 @@ class GivenFacts:
         Raises:
             MagycError: a value is not a number, a file is not a calibration, or options contradict each other.
         """
-        from magyc_gtsam.estimators.smoother.options import HEADING_SIGMA
+        from magyc_gtsam.estimators.smoother.options import HEADING_SIGMA, MOST_SOFT_IRON_WALK
         from magyc_gtsam.factors.errors import MagycError
 
         result: dict[str, Any] = {}
@@ -162,16 +163,33 @@ class GivenFacts:
             result["field_strength"] = scale.tesla()
         result |= beforehand(self.misalignment, self.prior, self.hard_iron_walk)
         if self.gyroscope_scale is not None:
-            result["gyroscope_scale"] = self.gyroscope_scale * 1e-2
+            result["gyroscope_scale"] = scale_sigma(self.gyroscope_scale)
         if self.heading is not None:
-            sigma = HEADING_SIGMA if self.heading_sigma is None else math.radians(self.heading_sigma)
+            sigma = HEADING_SIGMA
+            if self.heading_sigma is not None:
+                sigma = in_si(
+                    "--heading-sigma:", self.heading_sigma, "degrees", math.radians(1), math.pi, zero=False
+                )
             result["heading"] = [self.heading, sigma]
             result["declination"] = scale.declination()
         elif self.heading_sigma is not None:
             raise MagycError("--heading-sigma: has no effect without --heading CHANNEL")
         if self.soft_iron_walk is not None:
-            result["soft_iron_walk"] = 1e-2 * _not_negative("--soft-iron-walk", self.soft_iron_walk)
+            result["soft_iron_walk"] = in_si(
+                "--soft-iron-walk:", self.soft_iron_walk, "%", PERCENT, MOST_SOFT_IRON_WALK
+            )
         return result
+
+
+def scale_sigma(percent: float) -> float:
+    """Return the prior standard deviation of the gyroscope's scale, which --gyroscope-scale gives in percent.
+
+    Raises:
+        MagycError: it is negative or too large.
+    """
+    from magyc_gtsam.estimators.smoother.options import MOST_SCALE
+
+    return in_si("--gyroscope-scale:", percent, "%", PERCENT, MOST_SCALE)
 
 
 def beforehand(misalignment: str | None, prior: Path | None, hard_iron_walk: float | None) -> dict[str, Any]:
@@ -180,6 +198,7 @@ def beforehand(misalignment: str | None, prior: Path | None, hard_iron_walk: flo
     Raises:
         MagycError: the misalignment or the walk is not such a number, or the prior is not a calibration.
     """
+    from magyc_gtsam.estimators.smoother.options import MOST_HARD_IRON_WALK
     from magyc_gtsam.factors.errors import MagycError
 
     result: dict[str, Any] = {}
@@ -200,13 +219,5 @@ def beforehand(misalignment: str | None, prior: Path | None, hard_iron_walk: flo
 
         result["prior"] = Calibration.load(prior).to_dict()
     if hard_iron_walk is not None:
-        result["hard_iron_walk"] = 1e-6 * _not_negative("--hard-iron-walk", hard_iron_walk)
+        result["hard_iron_walk"] = in_si("--hard-iron-walk:", hard_iron_walk, "µT", MICRO, MOST_HARD_IRON_WALK)
     return result
-
-
-def _not_negative(option: str, value: float) -> float:
-    from magyc_gtsam.factors.errors import MagycError
-
-    if not value >= 0:
-        raise MagycError(f"{option}: must be 0 or more, got {value:g}")
-    return value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magyc_gtsam import __version__
+from magyc_gtsam.cli.files import made
 from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, distinct_names, headline, labels, shown, write_tables
 from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder, remove_results
@@ -106,20 +108,26 @@ def calibrate_logs(
     folder = output or dated_folder(Path("logs"))
     each = [replace(task, folder=folder / name) for name, task in named.items()]
     tasks = {_fingerprint(one): one for one in each}
-    folder.mkdir(parents=True, exist_ok=True)
     # A run into a folder that the user named resumes where it was interrupted.
     parts = folder / _PARTS if output is not None and find_spec("pyarrow") else None
-    for key, one in tasks.items() if parts is not None else ():
-        if not (one.folder / "report.html").exists():  # the log failed, or its results were removed
-            (folder / _PARTS / f"{key}.parquet").unlink(missing_ok=True)
-    with stages(shown=not (quiet or as_json)) as stage:
-        progress = stage(f"calibrating {len(each)} logs")
-        rows = run_many(calibrate_one, tasks, engine=engine, parts=parts, progress=progress)
-    table = [_table_row(tasks[key], row) for key, row in rows.items()]
-    for row, key in zip(table, rows, strict=True):
-        if row["exit_code"] == 2:
-            remove_results(tasks[key].folder)  # the page says that the log is refused
-    write_tables(folder, table)
+    for part in () if parts is None else parts.glob("*.parquet"):
+        known = tasks.get(part.stem)
+        if known is None or not (known.folder / "report.html").exists():  # of other options, failed or removed
+            part.unlink(missing_ok=True)
+    with made(folder):
+        with stages(shown=not (quiet or as_json)) as stage:
+            progress = stage(f"calibrating {len(each)} logs")
+            rows = run_many(calibrate_one, tasks, engine=engine, parts=parts, progress=progress)
+        table = [_table_row(tasks[key], row) for key, row in rows.items()]
+        refused = [tasks[key].folder for row, key in zip(table, rows, strict=True) if row["exit_code"] == 2]
+        if len(refused) == len(table):  # as of one such log: nothing is written, and earlier results stay
+            shutil.rmtree(folder / _PARTS, ignore_errors=True)
+            if as_json:
+                show_json({"folder": None, "logs": table})
+            return _complained(table)
+        for earlier in refused:  # the page says that these logs are refused
+            remove_results(earlier)
+        write_tables(folder, table)
     if open_page:
         show_page(folder / "index.html")
     if as_json:
@@ -128,6 +136,11 @@ def calibrate_logs(
         show(headline(table)[1], "")
         show_table(*shown(table, short=True), words=(5,))
         show_results(folder, page="index.html")
+    return _complained(table)
+
+
+def _complained(table: Sequence[Row]) -> int:
+    """Say which logs have no trusted calibration, and why; return the largest exit code."""
     code = max(row["exit_code"] for row in table)
     if code:
         failed = sum(bool(row["exit_code"]) for row in table)

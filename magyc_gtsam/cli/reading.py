@@ -46,16 +46,31 @@ class Reading:
         Raises:
             MagycError: see `magyc_gtsam.read`; also for invalid axes or options.
         """
-        from magyc_gtsam import MagycError, read
+        from magyc_gtsam import read
 
-        arguments = self.arguments()
-        recording: Recording = read(self.log, **arguments, progress=progress)
-        if recording.magnetic_field_unit == "counts" and not counts:
+        self.check(counts=counts)
+        recording: Recording = read(self.log, **self.arguments(), progress=progress)
+        return recording if self.angular_rate_is is None else _restated(recording, self.angular_rate_is)
+
+    def check(self, *, counts: bool = False) -> None:
+        """Check the options without the log.
+
+        Args:
+            counts: whether a field in raw counts is accepted.
+
+        Raises:
+            MagycError: one of them would be refused with any log.
+        """
+        from magyc_gtsam.factors.errors import MagycError
+        from magyc_gtsam.io import check_arguments
+        from magyc_gtsam.io.units import is_counts
+
+        check_arguments(**self.arguments())
+        if is_counts("magnetic_field", parse_unit(self.magnetic_unit)) and not counts:
             raise MagycError(
                 "--magnetic-unit counts: a calibration needs the field in tesla; give the tesla per count, or run "
                 "magyc-gtsam compare, which accepts counts"
             )
-        return recording if self.angular_rate_is is None else _restated(recording, self.angular_rate_is)
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `magyc_gtsam.read`.

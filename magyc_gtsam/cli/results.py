@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import platform
 import shlex
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -215,16 +215,39 @@ def _on_log(message: str, recording: Recording, task: Task) -> str:
     return "; ".join([f"{task.reading.log}: {message}", *remarks])
 
 
+def check_task(task: Task) -> None:
+    """Check the options of a task without its log.
+
+    Raises:
+        MagycError: one of them would be refused with any log.
+    """
+    from magyc_gtsam.estimators import check_options
+
+    task.reading.check()
+    with _usable(task):
+        check_options(task.method, **task.options)
+
+
 def _calibrate(recording: Recording, task: Task, progress: Progress) -> Calibration:
     """Calibrate; an argument that the method does not accept raises a MagycError."""
     from magyc_gtsam import MagycError, calibrate
 
+    with _usable(task):
+        try:
+            calibration: Calibration = calibrate(recording, task.method, progress=progress, **task.options)
+        except MagycError as error:
+            raise MagycError(_on_log(str(error), recording, task)) from None
+    return calibration
+
+
+@contextmanager
+def _usable(task: Task) -> Iterator[None]:
+    """Raise a MagycError for an option of another type than the method needs."""
+    from magyc_gtsam.factors.errors import MagycError
+
     try:
-        calibration: Calibration = calibrate(recording, task.method, progress=progress, **task.options)
-    except MagycError as error:
-        raise MagycError(_on_log(str(error), recording, task)) from None
+        yield
     except TypeError as error:
         if task.pairs is None:
             raise
         raise MagycError(f"{', '.join(task.pairs)}: {task.method} cannot use it ({error})") from None
-    return calibration

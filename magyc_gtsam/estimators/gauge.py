@@ -12,7 +12,7 @@ from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 
-_LARGEST_NOISE = (1e-3, 10.0)  # T, rad/s
+LARGEST_NOISE = (1e-3, 10.0)  # T, rad/s
 _SCALE = 2.5  # factor by which an instrument's scale may be wrong
 
 
@@ -45,11 +45,11 @@ def check_noise(value: Any) -> None:
     pair = isinstance(value, (tuple, list, np.ndarray)) and len(value) == 2
     if not pair or not all(
         isinstance(each, (int, float, np.number)) and not isinstance(each, bool) and 0 < each < most
-        for each, most in zip(value, _LARGEST_NOISE, strict=True)
+        for each, most in zip(value, LARGEST_NOISE, strict=True)
     ):
         raise MagycError(
             "noise: must be a pair (magnetometer T, gyroscope rad/s) above 0, and below {:g} T and {:g} rad/s, got "
-            "{!r}".format(*_LARGEST_NOISE, value)
+            "{!r}".format(*LARGEST_NOISE, value)
         )
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import attribute
 from magyc_gtsam.io.log_info import LogInfo, Source, hole_remarks, turned
-from magyc_gtsam.io.request import Request, Selection
+from magyc_gtsam.io.request import SENSORS, Request, Selection
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.axes import parse_axes
 from magyc_gtsam.recording.stamps import holes
@@ -100,24 +100,20 @@ def read(
     Raises:
         MagycError: the file does not exist, is not a log, or does not hold a recording; the message has the remedy.
     """
-    request = Request(
-        sensors={
-            "magnetic_field": magnetic_field,
-            "angular_rate": angular_rate,
-            "acceleration": acceleration,
-            "attitude": attitude,
-        },
-        units={
-            "magnetic_field": magnetic_unit,
-            "angular_rate": angular_unit,
-            "acceleration": acceleration_unit,
-        },
+    request = _request(
+        magnetic_field=magnetic_field,
+        angular_rate=angular_rate,
+        acceleration=acceleration,
+        attitude=attitude,
+        magnetic_unit=magnetic_unit,
+        angular_unit=angular_unit,
+        acceleration_unit=acceleration_unit,
         start=start,
         end=end,
         stamps=stamps,
         channels=channels,
         progress=progress,
-        options=options,
+        **options,
     )
     file = expect_path("read", path)
     axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
@@ -136,6 +132,29 @@ def read(
             raise
         raise MagycError(f"{file}: {problem}") from None
     return recording if axes is None else in_magnetometer_axes(recording, axes)
+
+
+def check_arguments(*, gyroscope_axes: str | None = None, **arguments: Any) -> None:
+    """Check arguments of `read` without a log.
+
+    Raises:
+        MagycError: one of them is wrong for every log; what depends on the format or the contents is not checked.
+    """
+    _request(**arguments)
+    if gyroscope_axes is not None:
+        parse_axes(gyroscope_axes)
+
+
+def _request(
+    *, magnetic_unit: Any = None, angular_unit: Any = None, acceleration_unit: Any = None, **rest: Any
+) -> Request:
+    """Return the request for arguments of `read`; those that are not known belong to one format."""
+    return Request(
+        sensors={name: rest.pop(name, None) for name in (*SENSORS, "attitude")},
+        units=dict(zip(SENSORS, (magnetic_unit, angular_unit, acceleration_unit), strict=True)),
+        **{name: rest.pop(name) for name in ("start", "end", "stamps", "channels", "progress") if name in rest},
+        options=rest,
+    )
 
 
 def info(path: str | PathLike[str], **arguments: Any) -> LogInfo:

@@ -15,6 +15,8 @@ from magyc_gtsam.factors.errors import MagycError
 MOST_DRIFT = 0.1  # s/s, largest plausible drift of a clock
 MOST_SKEW = np.radians(45.0)
 MOST_SCALE = 0.1  # largest prior sigma of a gyroscope's scale; larger errors mean a wrong unit
+MOST_HARD_IRON_WALK = 1.0  # T
+MOST_SOFT_IRON_WALK = 10.0
 FIELD_SIGMA = 150e-9  # T, sigma of the World Magnetic Model's strength by its error budget
 DIP_SIGMA = np.radians(0.2)  # sigma of its dip
 HEADING_SIGMA = np.radians(1.0)  # of a sensor's x axis relative to that of its vehicle, with careful mounting
@@ -106,8 +108,8 @@ class SmootherOptions:
         if not (isinstance(self.misalignment, str) and self.misalignment == "auto"):
             _number("misalignment", self.misalignment, -1e-15, MOST_SKEW, "rad, or 'auto'")
         _number("gyroscope_scale", self.gyroscope_scale, -1e-15, MOST_SCALE, "")
-        _number("hard_iron_walk", self.hard_iron_walk, -1e-15, 1.0, "T")
-        _number("soft_iron_walk", self.soft_iron_walk, -1e-15, 10.0, "")
+        _number("hard_iron_walk", self.hard_iron_walk, -1e-15, MOST_HARD_IRON_WALK, "T")
+        _number("soft_iron_walk", self.soft_iron_walk, -1e-15, MOST_SOFT_IRON_WALK, "")
         if self.prior is None and (self.hard_iron_walk or self.soft_iron_walk):
             raise MagycError(
                 "hard_iron_walk, soft_iron_walk: they say what may have changed since an earlier calibration; give it "
