@@ -26,8 +26,8 @@ from commands import COMMAND, Finished, installed, run
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
+from magyc_gtsam.cli.own_files import EXPORTS
 from magyc_gtsam.cli.reading import Reading, parse_pairs
-from magyc_gtsam.cli.results import EXPORTS
 from magyc_gtsam.cli.terminal import show
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.option_names import as_options

@@ -8,6 +8,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
+from magyc_gtsam.cli.own_files import EXPORTS
 from magyc_gtsam.io import write_mcap
 
 WRONG_OPTIONS = (
@@ -60,6 +61,7 @@ def test_a_refused_run_leaves_the_results_of_many_logs(
         assert contents(season) == before, words
         assert main([*command, str(tmp_path / "made" / "new"), *words]) == 2
         assert [path.name for path in tmp_path.iterdir()] == ["season"], words
+    capsys.readouterr()
     for command in ("history", "gap"):  # refused before the first log is read
         assert main([command, str(dives / "dives"), "-o", str(season), "--magnetic-unit", "gaus"]) == 2
         assert capsys.readouterr().err.count("\n") == 1
@@ -78,3 +80,52 @@ def test_a_part_of_a_run_with_other_options_is_not_taken_up(dives: Path, tmp_pat
     assert main([*command, "--window", "0.8"]) == 0
     assert main(command) == 0
     assert (season / "1" / "calibration.yaml").read_bytes() == first
+
+
+def test_a_run_replaces_what_any_command_wrote(dives: Path, tmp_path: Path) -> None:
+    """The page and the parameters of an earlier log stayed beside a result that must not be trusted."""
+    good, still = str(dives / "dives" / "1.mcap"), str(dives / "still.mcap")
+    both, folder = str(dives / "dives"), tmp_path / "results"
+    one = ["calibration.yaml", "configuration.yaml", "report.html"]
+    runs: dict[str, tuple[list[str], int, list[str]]] = {
+        "pdf": (["calibrate", good, "--pdf"], 0, [*one, *EXPORTS.values(), "report.pdf"]),
+        "untrusted": (["calibrate", still], 1, one),
+        "history": (["history", both], 0, ["history.yaml", "next.yaml", "report.html", *EXPORTS.values()]),
+        "gap": (["gap", good, "--candidates", "timing"], 0, [*one, "gap.json"]),
+        "gaps": (
+            ["gap", both, "--candidates", "timing"],
+            0,
+            ["gap.json", "report.html", "calibrations/1.yaml", "calibrations/2.yaml"],
+        ),
+        "compare": (
+            ["compare", good, "--methods", "smoother"],
+            0,
+            ["comparison.csv", "comparison.json", "configuration.yaml", "report.html"],
+        ),
+        "many": (["calibrate", both], 0, ["index.html", "calibrations.csv"]),
+    }
+    folder.mkdir()
+    own = {"report.pdf", "index.html", "notes.txt", "calibration.yaml.bak"}
+    for name in own:
+        (folder / name).write_text("of the user")
+    assert main(["calibrate", good, "-q", "-o", str(folder)]) == 0
+    assert {name for name in own if (folder / name).read_text() == "of the user"} == own
+    for name in own - {"notes.txt"}:
+        (folder / name).unlink()
+    for last in (
+        "many",
+        "untrusted",
+        "pdf",
+        "untrusted",
+        "history",
+        "gap",
+        "gaps",
+        "compare",
+        "pdf",
+        "gaps",
+        "many",
+    ):
+        words, code, files = runs[last]
+        assert main([*words, "-q", "-o", str(folder)]) == code
+        there = {name for name in contents(folder) if name[:2] not in ("1/", "2/")}
+        assert there - {"calibrations.parquet"} == {*files, "notes.txt"}, last

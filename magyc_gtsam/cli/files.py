@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from magyc_gtsam.cli.own_files import remove_results
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.storage.files import copied_into, is_stream, link_target
 
@@ -51,7 +52,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def replacing_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder that becomes `path` when the block ends, and is removed if the block raises.
 
-    If `path` exists, the new files replace those in it one by one.
+    If `path` exists, the new files replace all that commands wrote into it before, and other files stay.
     """
     _refuse_files((path,))
     if path.parent.is_dir():
@@ -66,6 +67,7 @@ def replacing_folder(path: Path) -> Iterator[Path]:
             with contextlib.suppress(OSError):  # the folder exists: replace its files below
                 os.rename(part, path)
                 return
+            remove_results(path)
             for file in (each for each in sorted(part.rglob("*")) if not each.is_dir()):
                 (path / file.relative_to(part)).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, path / file.relative_to(part))

@@ -16,7 +16,7 @@ from magyc_gtsam.cli.known import Scale, scale_sigma
 from magyc_gtsam.cli.many_table import distinct_names
 from magyc_gtsam.cli.options import with_groups
 from magyc_gtsam.cli.reading import Reading
-from magyc_gtsam.cli.results import dated_folder, remove_exports, write_exports
+from magyc_gtsam.cli.results import dated_folder, write_exports
 from magyc_gtsam.cli.terminal import (
     complain,
     concluded,
@@ -144,8 +144,6 @@ def _followed(
     notes += parts_left_out(factors)
     for note in [*notes, *_order_given(history), *_without_the_last(history)]:
         complain(f"note: {note}")
-    if not verdict.trusted:
-        remove_exports(folder)  # those of an earlier run
     if json:
         told = _as_dict(history, folder) | {"next": following.to_dict(), "verdict": verdict.to_dict()}
         show_json(told)

@@ -6,6 +6,7 @@ import hashlib
 import re
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +16,8 @@ from magyc_gtsam import __version__
 from magyc_gtsam.cli.files import made
 from magyc_gtsam.cli.interrupts import explained
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, distinct_names, headline, labels, shown, write_tables
-from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder, remove_results
+from magyc_gtsam.cli.own_files import remove_results
+from magyc_gtsam.cli.results import Task, calibrate_log, dated_folder
 from magyc_gtsam.cli.terminal import complain, show, show_json, show_page, show_results, show_table, stages
 from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.storage.files import size_of
@@ -127,6 +129,9 @@ def calibrate_logs(
             return _complained(table)
         for earlier in refused:  # the page says that these logs are refused
             remove_results(earlier)
+            with suppress(OSError):  # there is none, or it has other files
+                earlier.rmdir()
+        remove_results(folder)
         write_tables(folder, table)
     if open_page:
         show_page(folder / "index.html")

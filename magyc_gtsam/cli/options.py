@@ -142,7 +142,8 @@ Output = Annotated[
         "-o",
         parser=named_path,
         metavar="DIR",
-        help="Folder of the results. Default: a new one in results/, named by log, command, date and time.",
+        help="Folder of the results; replaces those of earlier runs in it. Default: a new one in results/, named by "
+        "log, command, date and time.",
     ),
 ]
 MethodOptions = Annotated[

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.own_files import EXPORTS
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.option_names import as_options
 
@@ -23,12 +24,6 @@ if TYPE_CHECKING:
     from magyc_gtsam.report.verdict import Verdict
 
 _SHORT = 60.0  # s; shorter logs are often too short
-EXPORTS = {
-    "px4": "px4.params",
-    "ardupilot": "ardupilot.param",
-    "vectornav": "vectornav.txt",
-    "ros": "ros.yaml",
-}
 
 
 @dataclass(frozen=True)
@@ -100,23 +95,6 @@ def write_exports(folder: Path, calibration: Calibration, force: bool = False) -
         except MagycError as error:
             text = f"# {error}\n"
         (folder / name).write_text(text, encoding="utf-8")
-
-
-def remove_results(folder: Path) -> None:
-    """Remove the files of an earlier run on a log that is refused now, and the folder if it is empty then."""
-    if not folder.is_dir():
-        return
-    remove_exports(folder)
-    for name in ("calibration.yaml", "configuration.yaml", "report.html"):
-        (folder / name).unlink(missing_ok=True)
-    with suppress(OSError):  # there are other files
-        folder.rmdir()
-
-
-def remove_exports(folder: Path) -> None:
-    """Remove the parameters of an earlier run, which must not remain beside an untrusted calibration."""
-    for name in EXPORTS.values():
-        (folder / name).unlink(missing_ok=True)
 
 
 def write_configuration(
@@ -198,8 +176,6 @@ def calibrate_log(
         write_exports(folder, calibration, task.force)
         write_page(folder, replace(recording, name=reading.log.name), calibration, verdict)
         page(1.0)
-    if not verdict.trusted and not task.force:
-        remove_exports(task.folder)  # those of an earlier run
     return recording, calibration, verdict
 
 

@@ -85,7 +85,7 @@ def report(calibration: Calibration, path: str | os.PathLike[str], recording: Re
     if file.suffix.lower() == ".pdf":
         figures = plot_calibration(calibration, recording)
         with whole_file(file) as part:
-            figures.savefig(part, format="pdf")
+            figures.savefig(part, format="pdf", metadata={"Creator": "magyc-gtsam"})
         return file
     from magyc_gtsam.report.page import residuals_of, write_report
 
