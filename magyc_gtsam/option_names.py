@@ -43,8 +43,6 @@ _PREFIX = (
 _VALUE = r"""'[^']*'|[^\s,;:)('"][^\s,;)"]*|"""  # in quotes, a number or word, or nothing
 # A name that is not part of a path or of an option.
 _ARGUMENT = re.compile(rf"(?<![-\w./])(?<!--read )(?<!--option )({'|'.join(_PREFIX)})=({_VALUE})")
-# Names that nothing but an argument has, also without "="; in quotation marks they are keys of JSON.
-_BARE = re.compile(r"(?<![-\w./\"'=])(hard_iron_walk|soft_iron_walk)(?![\w=\"'])")
 # Names with which a message about an argument begins, of options in the unit of the argument.
 _LEADING = re.compile(r"\A(window|method|prior)(?=: | must be )")
 _RADIANS = re.compile(r"np\.radians\(([^()]*)\)")
@@ -55,7 +53,6 @@ def as_options(message: str) -> str:
     """Return a message of the library with its arguments and functions as those of the command line."""
     text = _ARGUMENT.sub(_option, _RADIANS.sub(r"\1", message))
     text = _LEADING.sub(lambda match: f"--{match[1]}", text)
-    text = _BARE.sub(lambda match: _PREFIX[match[1]], text)
     for function, command in _COMMANDS.items():
         text = text.replace(function, command)
     return text

@@ -63,11 +63,14 @@ def dive() -> mg.Simulation:
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory, dive: mg.Simulation) -> Path:
-    """A directory with dive.mcap, still.mcap (hardly any motion), field.mcap (no gyroscope), text.csv (no log)."""
+    """Logs: dive, still (hardly any motion), field (no gyroscope; also as a table), zero, and a text that is none."""
     folder = tmp_path_factory.mktemp("logs")
     write_mcap(folder / "dive.mcap", dive.recording)
     write_mcap(folder / "still.mcap", simulate("survey", duration=30).recording)
     write_mcap(folder / "field.mcap", replace(dive.recording, angular_rate=None, acceleration=None))
+    zeros = [f"{k / 10},0,0,0,{k % 7},{k % 5},{k % 3}" for k in range(20)]
+    (folder / "zero.csv").write_text("\n".join(["time_s,mag_x_uT,mag_y_uT,mag_z_uT,gyro_x,gyro_y,gyro_z", *zeros]))
+    (folder / "field.csv").write_text("time_s,mag_x_uT,mag_y_uT,mag_z_uT\n0,20,1,40\n1,22,2,41\n2,21,1,40\n")
     (folder / "text.csv").write_text("Dear diary,\ntoday nothing turned.\n")
     return folder
 
@@ -410,6 +413,24 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("export none.yaml px4", "none.yaml: no such file"),
         ("info {logs}/none.mcap", "none.mcap: cannot be read"),
         ("simulate waltz -o out.mcap", "'waltz' is not one of wide"),
+        (
+            "simulate wide -o out.mcap --hard-iron 1e9 0 0",
+            "--hard-iron: must be from -1000 to 1000 µT, got 1e+09 0 0",
+        ),
+        (
+            "simulate wide -o out.mcap --gyroscope-noise -1",
+            "--gyroscope-noise: must be from 0 to 5000 mrad/s, got -1",
+        ),
+        ("calibrate {logs}/dive.mcap --option foo=1", "hard_iron_walk, heading"),
+        (
+            "calibrate {logs}/dive.mcap --option robust=huber",
+            "kernels such as 'huber' are for the methods magyc-bfg",
+        ),
+        (
+            "online {logs}/field.csv",
+            "calibrate the magnetometer alone (`magyc-gtsam calibrate` with --method 'autocal')",
+        ),
+        ("calibrate {logs}/zero.csv", "zero in 100% of 20 rows, which no magnetometer measures; check that"),
         ("simulate dive -o out.mcap --rate 0", "--rate: must be more than 0, got 0"),
     ],
 )

@@ -10,6 +10,7 @@ import pty
 import re
 import select
 import signal
+import struct
 import subprocess
 import time
 import warnings
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import COMMAND, PATIENCE, run
+from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 
 import magyc_gtsam as mg
@@ -476,7 +478,7 @@ def test_a_wrong_unit_and_a_state_of_another_method(
 ) -> None:
     finished = run("online", "-", cwd=tmp_path, stdin="\n".join(json_lines(simulation.recording, 50)))
     assert finished.returncode == 2
-    assert "read it in its unit (--magnetic-unit)" in finished.stderr
+    assert "read a log in its unit (--magnetic-unit)" in finished.stderr
     mg.OnlineCalibrator("magyc-ifg", window=0.5).save(tmp_path / "ifg.state")
     code, errors = inside(log, "--state", "ifg.state", "--method", "smoother")
     assert code == 2
@@ -545,3 +547,37 @@ def test_stamps_that_were_never_filled_in_are_told(tmp_path: Path, simulation: m
     assert not (tmp_path / "out.yaml").exists()
     run("online", "unstamped.mcap", "-o", "out.yaml", "--stamps", "log", cwd=tmp_path)
     assert (tmp_path / "out.yaml").exists()  # though two minutes do not settle the estimate
+
+
+def test_clocks_that_differ_are_named_with_the_remedy(
+    tmp_path: Path, inside: Callable[..., tuple[int, str]]
+) -> None:
+    """`calibrate` named --stamps log, `online` nothing; `info` did not say that its times are the recorder's."""
+    recording = mg.simulate("wide", 120, 10, seed=1).recording
+    write_mcap(tmp_path / "one.mcap", recording)
+    log = tmp_path / "two.mcap"
+    with open(tmp_path / "one.mcap", "rb") as source, open(log, "wb") as file:
+        writer, known = McapWriter(file), dict[str, int]()
+        writer.start("ros2")
+        for schema, channel, message in make_reader(source).iter_messages():
+            assert schema is not None
+            if channel.topic not in known:
+                own = writer.register_schema(schema.name, schema.encoding, schema.data)
+                known[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, own)
+            data = bytearray(message.data)
+            if channel.topic == "/imu/mag":
+                struct.pack_into("<i", data, 4, struct.unpack_from("<i", data, 4)[0] + 1_700_000_000)
+            writer.add_message(known[channel.topic], message.log_time, bytes(data), message.publish_time)
+        writer.finish()
+    code, errors = inside(log, "--idle", 1, "--quiet")
+    assert code == 1
+    assert (
+        "if the clocks differ, shift one of them, or read a log by its recording times (--stamps 'log')" in errors
+    )
+    assert "clock" not in inside(log, "--idle", 1, "--quiet", "--stamps", "log")[1]
+    shown = run("info", log, cwd=tmp_path).stdout
+    assert "recorded, s" in shown
+    assert "clocks do not overlap" in shown
+    table = tmp_path / "table.csv"
+    table.write_text("time_s,mag_x_uT,mag_y_uT,mag_z_uT\n0,20,1,40\n1,22,2,41\n2,21,1,40\n")
+    assert "recorded" not in run("info", table, cwd=tmp_path).stdout

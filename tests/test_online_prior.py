@@ -93,5 +93,5 @@ def test_what_is_no_prior_is_refused() -> None:
         mg.OnlineCalibrator(hard_iron_walk=-1)
     with pytest.raises(mg.MagycError, match="prior: an earlier Calibration is needed, got float"):
         mg.OnlineCalibrator(prior=1.0)
-    with pytest.raises(mg.MagycError, match="hard_iron_walk: .* give that calibration too .prior=."):
+    with pytest.raises(mg.MagycError, match="hard_iron_walk=: .* give that calibration too .prior=."):
         mg.OnlineCalibrator(hard_iron_walk=1e-6)

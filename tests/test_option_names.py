@@ -50,10 +50,17 @@ def test_no_message_of_the_library_names_an_option() -> None:
         ("say that they are (misalignment=np.radians(3))", "say that they are (--misalignment 3)"),
         ("or with (prior=, field=: hard iron)", "or with (--prior, --location, --date: hard iron)"),
         (
-            "allow for a change (hard_iron_walk and soft_iron_walk)",
+            "allow for a change (hard_iron_walk= and soft_iron_walk=)",
             "allow for a change (--hard-iron-walk and --soft-iron-walk)",
         ),
+        ("has no option 'foo'; it has hard_iron_walk, window",) * 2,
+        ("window must be above 0", "--window must be above 0"),
+        ("method: 'smother' is not one of", "--method: 'smother' is not one of"),
         ('{"hard_iron_walk": 1e-6}', '{"hard_iron_walk": 1e-6}'),
+        (
+            "calibrate the magnetometer alone (`mg.calibrate` with method='autocal')",
+            "calibrate the magnetometer alone (`magyc-gtsam calibrate` with --method 'autocal')",
+        ),
         ("run `mg.find_gap`", "run `magyc-gtsam gap`"),
         ("see the values (force=True)", "see the values (--force)"),
         ("/logs/rate=5.csv: --start=3 --read rate=5", "/logs/rate=5.csv: --start=3 --read rate=5"),

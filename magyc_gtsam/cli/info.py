@@ -54,7 +54,8 @@ def _show(described: LogInfo) -> None:
         rate = "" if source.rate is None else f"{source.rate:.1f}"
         rows.append((source.name, str(source.count), rate, span, ", ".join(source.serves_as)))
     if rows:
-        show_table(("source", "samples", "Hz", "s", "serves as"), rows, words=(4,))
+        seconds = "recorded, s" if described.recorded else "s"  # the stamps of the sensors may be of other clocks
+        show_table(("source", "samples", "Hz", seconds, "serves as"), rows, words=(4,))
     if unused:
         show("", f"not used: {', '.join(unused)}")
     show("", *noted(described.warnings))

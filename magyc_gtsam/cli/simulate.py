@@ -35,7 +35,9 @@ def run(
     ],
     duration: Annotated[float, typer.Option(metavar="SECONDS")] = 600.0,
     rate: Annotated[float, typer.Option(metavar="HZ")] = 10.0,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of motion and noise.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Random seed of motion, noise and the directions of effects.")
+    ] = 0,
     field_strength: Annotated[
         float | None, typer.Option(metavar="µT", help="Field strength. Default: 47.3, as in the MAGYC paper.")
     ] = None,
@@ -79,16 +81,17 @@ def run(
     for option, value in (("--duration", duration), ("--rate", rate)):
         if not value > 0:
             raise MagycError(f"{option}: must be more than 0, got {value:g}")
-    if min(magnetometer_noise, gyroscope_noise) < 0:
-        raise MagycError(
-            "--magnetometer-noise, --gyroscope-noise: must not be negative, got "
-            f"{magnetometer_noise:g} µT and {gyroscope_noise:g} mrad/s"
-        )
-    finite = {"--delay": delay, "--hard-iron": hard_iron, "--gyroscope-bias": gyroscope_bias}
-    finite |= {"--magnetometer-noise": magnetometer_noise, "--gyroscope-noise": gyroscope_noise}
-    for option, values in finite.items():
-        if values is not None and not np.isfinite(values).all():
-            raise MagycError(f"{option}: must be finite, got {values}")
+    for option, values, least, most, unit in (
+        ("--hard-iron", hard_iron, -1000.0, 1000.0, "µT"),
+        ("--gyroscope-bias", gyroscope_bias, -5000.0, 5000.0, "mrad/s"),
+        ("--magnetometer-noise", magnetometer_noise, 0.0, 1000.0, "µT"),
+        ("--gyroscope-noise", gyroscope_noise, 0.0, 5000.0, "mrad/s"),
+        ("--delay", delay, -10000.0, 10000.0, "ms"),
+    ):
+        given_values = () if values is None else np.atleast_1d(values)
+        if not all(least <= value <= most for value in given_values):
+            shown = " ".join(f"{value:g}" for value in given_values)
+            raise MagycError(f"{option}: must be from {least:g} to {most:g} {unit}, got {shown}")
     sensor: dict[str, Any] = {
         "magnetometer_noise": magnetometer_noise * 1e-6,
         "gyroscope_noise": gyroscope_noise * 1e-3,

@@ -64,6 +64,7 @@ class LogInfo:
         problem: why `read` cannot make a recording; None if it can.
         turned: rad, total rotation of the instrument; None without a gyroscope or if there is a problem.
         first: ns, the stamp from which the spans of `sources` count; None if unknown.
+        recorded: whether these spans are of the recorder's clock, not of the sensors' stamps.
     """
 
     path: str
@@ -74,6 +75,7 @@ class LogInfo:
     problem: str | None = None
     turned: float | None = None
     first: int | None = None
+    recorded: bool = False
 
     def since(self, zero: int) -> LogInfo:
         """Return the description with its spans counted from a stamp (ns); as it is if that is of another clock."""

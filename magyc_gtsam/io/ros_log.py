@@ -82,7 +82,8 @@ def info_of(load: Load, path: Path, kind: str) -> LogInfo:
             )
         )
     ros = "ROS 1" if any(t.encoding == "ros1" for t in log.topics.values()) else "ROS 2"
-    return LogInfo(str(path), f"{kind} ({ros})", (last - zero) / 1e9, tuple(sources), log.notes, first=zero)
+    duration = (last - zero) / 1e9
+    return LogInfo(str(path), f"{kind} ({ros})", duration, tuple(sources), log.notes, first=zero, recorded=True)
 
 
 def collected(

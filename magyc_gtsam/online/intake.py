@@ -14,6 +14,7 @@ from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.axes import OWN_AXES, parse_axes
 from magyc_gtsam.recording.stamps import check_seconds
+from magyc_gtsam.recording.time_base import ONE_CLOCK
 
 _LATE = 1.0  # s behind the last stamp; more, six times in a row, means that a clock was set back
 _LEAP = 3.0  # ratio to the previous step, and at least `_LATE`, by which a stamp may be ahead without confirmation
@@ -88,7 +89,7 @@ class _Stream:
                 row = int(beyond.argmax())
                 raise MagycError(
                     f"{self.name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} {unit}; "
-                    f"convert it, or read it in its unit ({argument}=)"
+                    f"convert it to {unit}, or read a log in its unit ({argument}=)"
                 )
         return np.column_stack([when, value])[~beyond], refused + int(beyond.sum())
 
@@ -175,7 +176,10 @@ class Intake:
         if not np.isfinite(first) or last - first <= _SILENT:
             return ""
         name = _NAMES[int(np.argmin(self.until))]
-        return f"no sample of {name} for {last - first:.0f} s, or its clock is another one: nothing is known since"
+        return (
+            f"no sample of {name} for {last - first:.0f} s, or its clock is another one: nothing is known since; "
+            f"if the clocks differ, {ONE_CLOCK}"
+        )
 
     @property
     def duration(self) -> float:

@@ -77,7 +77,7 @@ class OnlineOptions(SmootherOptions):
                 raise MagycError(f"{name}: must be a finite number of at least {least:g}, got {value!r}")
         if self.prior is None and self.hard_iron_walk:
             raise MagycError(
-                "hard_iron_walk: what may have changed since an earlier calibration; give that calibration too "
+                "hard_iron_walk=: what may have changed since an earlier calibration; give that calibration too "
                 "(prior=), or hard_iron_drift for a hard iron that changes all the time"
             )
         super().__post_init__()

@@ -16,6 +16,7 @@ Mask = NDArray[np.bool_]
 
 EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
 _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
+MAGNETOMETER_ALONE = "calibrate the magnetometer alone (`mg.calibrate` with method='autocal')"  # a remedy
 NO_GYROSCOPE = "no gyroscope"  # begins the note of a reader that found none, and where it looked
 FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
@@ -159,6 +160,11 @@ def check_field_unit(magnetic_field: Array) -> None:
                 f"magnetometer measures, the first is row {beyond[0]}; remove those rows"
             )
         return
+    if not norm:
+        raise MagycError(
+            f"magnetic_field: zero in {np.mean(square == 0):.0%} of {len(square)} rows, which no magnetometer "
+            "measures; check that it is connected and its driver runs, or name another source (magnetic_field=)"
+        )
     centre = np.log(np.sqrt(EARTH_FIELD[0] * EARTH_FIELD[1]))
     unit = min(_FIELD_UNITS, key=lambda u: abs(np.log(max(norm, 1e-300) * _FIELD_UNITS[u]) - centre))
     guess = norm * _FIELD_UNITS[unit]

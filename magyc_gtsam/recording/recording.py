@@ -21,6 +21,7 @@ from magyc_gtsam.foreign_text import LONGEST, printable
 from magyc_gtsam.recording.autopilot import Autopilot
 from magyc_gtsam.recording.axes import OWN_AXES, axes_text, parse_axes
 from magyc_gtsam.recording.checks import (
+    MAGNETOMETER_ALONE,
     NO_GYROSCOPE,
     Array,
     Mask,
@@ -158,7 +159,7 @@ class Recording:
             raise MagycError(
                 f"recording {self.name!r} has no angular rate, which this method needs; "
                 + (remark or "name the gyroscope's topic or columns (angular_rate=)")
-                + ", or choose a magnetometer-only method (method='autocal')"
+                + f", or {MAGNETOMETER_ALONE}"
             )
         return self._samples(self.angular_rate, self.angular_rate_fresh, self._every_row[1])
 

@@ -27,6 +27,7 @@ from magyc_gtsam.recording.stamps import is_calendar, origin_of, seconds
 Stream = tuple[ArrayLike, ArrayLike]
 
 CLOCKS_APART = "the stamps of the two sensors begin and end"  # begins a note
+ONE_CLOCK = "shift one of them, or read a log by its recording times (stamps='log')"  # the remedy for two clocks
 _APART = 2.0  # s; drivers that start and stop one after the other are less apart
 
 
@@ -53,10 +54,7 @@ def unite(
         clean["angular_rate"] = _without_held(*clean["angular_rate"])
     if last <= first:
         spans = ", ".join(f"{k} {t[0]:.3f} to {t[-1]:.3f} s" for k, (t, _) in clean.items())
-        raise MagycError(
-            f"the sensors' clocks do not overlap ({spans}); "
-            "shift one of them, or read a log by its recording times (stamps='log')"
-        )
+        raise MagycError(f"the sensors' clocks do not overlap ({spans}); {ONE_CLOCK}")
     mag_time, mag = clean["magnetic_field"]
     if all(np.array_equal(t, mag_time) for t, _ in clean.values()):
         time, cut, field = mag_time, 0, mag

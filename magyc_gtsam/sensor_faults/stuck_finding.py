@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from magyc_gtsam.recording.checks import MAGNETOMETER_ALONE
 from magyc_gtsam.sensor_faults.stuck import Stretch
 
 MOST = 0.5  # share of the recording above which no calibration is attempted
@@ -50,7 +51,7 @@ class Stuck:
         """The message: `where`, the limit and the remedy."""
         spare = ""
         if self.sensor == "angular_rate":
-            spare = "; methods that need the magnetometer alone (method='autocal') do without it"
+            spare = f", or {MAGNETOMETER_ALONE}"
         interval = "" if self.share > _ALL else " choose an interval without it (start=, end=),"
         return (
             f"{self.where} (at most {MOST:.0%} can be left out): name another source ({self.sensor}=),{interval} "

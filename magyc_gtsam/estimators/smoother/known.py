@@ -109,8 +109,8 @@ def _covariance(prior: Calibration, options: SmootherOptions) -> Array:
         return np.array(prior.covariance[:9, :9])
     if not (options.hard_iron_walk and options.soft_iron_walk):
         raise MagycError(
-            f"prior: a calibration by {prior.method!r} has no covariance; say how far it may be off (hard_iron_walk "
-            "and soft_iron_walk), or take one by the smoother"
+            f"prior: a calibration by {prior.method!r} has no covariance; say how far it may be off (hard_iron_walk= "
+            "and soft_iron_walk=), or take one by the smoother"
         )
     return np.zeros((9, 9))
 

@@ -96,8 +96,8 @@ class SmootherOptions:
         check_noise(self.noise)
         if not (self.robust is None or isinstance(self.robust, bool | np.bool_)):
             raise MagycError(
-                f"robust: {self.robust!r} is neither True nor False; this method has one rejection of its own, the "
-                "kernels of magyc_gtsam.factors.KERNELS are for graphs"
+                f"robust: {self.robust!r} is neither True nor False; this method has one rejection of its own, kernels "
+                "such as 'huber' are for the methods magyc-bfg and magyc-ifg"
             )
         _number("window", self.window, 0.0, 60.0, "s")
         _number("clock_drift", self.clock_drift, -MOST_DRIFT, MOST_DRIFT, "s/s")
@@ -112,8 +112,8 @@ class SmootherOptions:
         _number("soft_iron_walk", self.soft_iron_walk, -1e-15, MOST_SOFT_IRON_WALK, "")
         if self.prior is None and (self.hard_iron_walk or self.soft_iron_walk):
             raise MagycError(
-                "hard_iron_walk, soft_iron_walk: they say what may have changed since an earlier calibration; give it "
-                "(prior=)"
+                "hard_iron_walk=, soft_iron_walk=: they say what may have changed since an earlier calibration; give "
+                "it (prior=)"
             )
         if isinstance(self.prior, Mapping):
             object.__setattr__(self, "prior", Calibration.from_dict(self.prior))
