@@ -77,13 +77,18 @@ def clauses(message: str) -> list[str]:
 
 
 def cause_and_action(message: str) -> tuple[str, str]:
-    """Split a message "cause (numbers): remedy" into cause and remedy, shortened to 30 words in all."""
+    """Split a message "cause (numbers): remedy" into cause and remedy, shortened to 30 words in all.
+
+    Both lose whole clauses at their end, the remedy first; the cause gives way to the first clause of the remedy.
+    """
     cause, _, action = message.partition(": ")
     if len(f"{cause} {action}".split()) > MOST_WORDS:
         cause = _without_brackets(cause)
     if len(f"{cause} {action}".split()) > MOST_WORDS:
-        action = _cut_to_words(action, MOST_WORDS - min(len(cause.split()), MOST_WORDS))
-    return _cut_to_words(cause, MOST_WORDS), action
+        first = len(_clauses(action)[0].split())
+        cause = _whole_clauses(cause, MOST_WORDS - first) or _cut_to_words(cause, MOST_WORDS)
+        action = _cut_to_words(action, MOST_WORDS - len(cause.split()))
+    return cause, action
 
 
 def _without_brackets(text: str) -> str:
@@ -94,14 +99,25 @@ def _without_brackets(text: str) -> str:
     return text
 
 
-def _cut_to_words(text: str, words: int) -> str:
-    """Return as many whole clauses as fit into a number of words; if not even one fits, as many words."""
+def _clauses(text: str) -> list[str]:
+    """Return the parts of a sentence between its commas and semicolons."""
+    return text.replace("; ", ", ").split(", ")
+
+
+def _whole_clauses(text: str, words: int) -> str:
+    """Return as many whole clauses as fit into a number of words; "" if not even one fits."""
     kept = ""
-    for clause in text.replace("; ", ", ").split(", "):
+    for clause in _clauses(text):
         longer = f"{kept}, {clause}" if kept else clause
         if len(longer.split()) > words:
             break
         kept = longer
+    return kept
+
+
+def _cut_to_words(text: str, words: int) -> str:
+    """Return as many whole clauses as fit into a number of words; if not even one fits, as many words."""
+    kept = _whole_clauses(text, words)
     if kept or not text or words < 2:
         return kept
     return " ".join(text.split()[: words - 1]) + " …"

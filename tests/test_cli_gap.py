@@ -257,8 +257,8 @@ def test_a_log_of_another_instrument(
         ),
     )
     for log, why in (
-        ("short", "short.mcap is too short to judge by"),
-        ("still", "still.mcap cannot be judged by"),
+        ("short", "result cannot be judged by short.mcap: it holds no stretch"),
+        ("still", "result cannot be judged by still.mcap: its field swept"),
     ):
         assert cli.main([*command, str(tmp_path / f"{log}.mcap")]) == 1
         assert why in capsys.readouterr().err

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.foreign_text import MOST_WORDS
+from magyc_gtsam.foreign_text import MOST_WORDS, cause_and_action
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.evidence.posterior import UNKNOWN
 from magyc_gtsam.gap.model.base import base_model
@@ -208,3 +208,30 @@ def test_the_world_beside_steel_does_not_drift_with_the_gyroscope() -> None:
     strength = np.linalg.norm(gap.calibration.apply(log), axis=1)
     minutes = strength[: len(strength) // 600 * 600].reshape(-1, 600).mean(axis=1)
     assert np.ptp(minutes) < 0.2e-6
+
+
+def test_a_verdict_is_not_cut_within_a_clause() -> None:
+    """It ended with "pitch or roll by 20° or more …"; the cause gives way, which the details have in full."""
+    cause = "the reading's error follows pitch and roll, by an unknown amount, "
+    cause += "which may move the soft iron along z by ±12 %"
+    remedy = "pitch or roll by 20° or more while turning"
+    assert cause_and_action(f"{cause} (limit 10): {remedy}") == (cause.rpartition(", ")[0], remedy)
+    assert cause_and_action(f"hard iron ±1.3 µT (limit 2.2): {remedy}") == (
+        "hard iron ±1.3 µT (limit 2.2)",
+        remedy,
+    )
+    words = " ".join(["word"] * 40)
+    assert cause_and_action(f"short: {words}") == ("short", " ".join(["word"] * 28) + " …")  # of a single clause
+
+
+def test_sizes_in_the_headline_are_those_of_the_details() -> None:
+    """It said "unequal delays (67 ms)", the norm, of delays of 39, 50 and 20 ms."""
+    values = np.array([39.0, -50.0, 20.0])
+    delays = Effect(
+        "axis-delays", "unequal delays", values, values / 9, tuple("xyz"), "ms", {}, (), 9.0, True, "late"
+    )
+    other = replace(delays, name="iron", label="iron", value=values / 1e3, unit="µT")
+    gap = replace(closed(), effects=(delays, other))
+    assert judged_gap(gap).sentence == "✔ Gap found and closed: unequal delays (50 ms), iron (0.05 µT)"
+    passed = {"time": 39.0, "width": 0.43, "passing": 1.0}
+    assert "(0.43 s wide, " in TERMS["local-anomaly"].say(np.ones(6), np.ones(6), passed)

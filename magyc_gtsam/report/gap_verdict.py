@@ -65,7 +65,7 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
     name = validation.name
     if not len(loop.time):
         return (
-            f"{name} is too short to judge by",
+            f"The result cannot be judged by {name}",
             Doubt(
                 f"it holds no stretch of more than {loop.horizon:g} s to predict", "give a log of a minute or more"
             ),
@@ -73,7 +73,7 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
         )
     if validation.swept < SWEPT * strength:
         return (
-            f"{name} cannot be judged by",
+            f"The result cannot be judged by {name}",
             Doubt(
                 f"its field swept {validation.swept * 1e6:.1f} µT", "give a log that turns through all headings"
             ),
@@ -168,10 +168,10 @@ def _found(gap: Gap) -> str:
 
 
 def _sizes(alike: Sequence[Effect]) -> str:
-    """Return the lengths of the values of effects of one label in brackets; "" without a unit."""
+    """Return the largest value of each effect of one label in brackets, as the details have it; "" without a unit."""
     if not alike[0].unit:
         return ""
-    return f" ({', '.join(two_digits(float(np.linalg.norm(each.value))) for each in alike)} {alike[0].unit})"
+    return f" ({', '.join(two_digits(float(np.abs(each.value).max())) for each in alike)} {alike[0].unit})"
 
 
 def _details(sentences: Sequence[str], *shown: str) -> tuple[str, ...]:

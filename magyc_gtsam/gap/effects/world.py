@@ -6,6 +6,7 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.changes import Setting
+from magyc_gtsam.foreign_text import two_digits
 from magyc_gtsam.gap.effects.iron import edges_of, references, step_nearby
 from magyc_gtsam.gap.effects.term import AXES, NEARBY, EffectTerm, measured
 from magyc_gtsam.gap.model.twin import Twin
@@ -148,7 +149,7 @@ def _say_anomaly(value: Array, sigma: Array, setting: Setting) -> str:
         )
     return (
         f"something magnetic in the surroundings was passed at {setting['time']:.0f} s "
-        f"({setting['width']:.0f} s wide, {np.linalg.norm(value[:3]):.2g} µT)"
+        f"({two_digits(setting['width'])} s wide, {np.linalg.norm(value[:3]):.2g} µT)"
     )
 
 
