@@ -71,7 +71,7 @@ def effect_chain_factor(
 
     Args:
         soft_iron_key, hard_iron_key, gyro_bias_key: as in `field_chain_factor`, in its units.
-        value_key: k-vector, the effect's value; or a sequence of keys, one per effect.
+        value_key: k-vector, the effect's value; or a sequence of keys, one per effect, which may be empty.
         samples: samples of both sensors, in windows.
         columns: per unit of the value; for the magnetometer (k, 3, n) T, means over the windows; for the gyroscope
             (k, 3, G) rad/s, at its samples. With a sequence of keys, one array per key.
@@ -93,13 +93,13 @@ def effect_chain_factor(
     value_keys = listed_keys(value_key)
     effects = list(columns) if np.iterable(value_key) else [np.asarray(columns)]
     sides = list(side) if np.iterable(side) and not isinstance(side, str) else [side] * len(value_keys)
-    if not 0 < len(value_keys) == len(effects) == len(sides):
+    if not len(value_keys) == len(effects) == len(sides):
         raise MagycError(
             f"{len(value_keys)} value keys, {len(effects)} columns and {len(sides)} sides; each effect has one of each"
         )
     effects = [_fitting(samples, each, its_side) for each, its_side in zip(effects, sides, strict=True)]
     counts = [len(each) for each in effects]
-    rated = np.repeat([each == "gyroscope" for each in sides], counts)
+    rated = np.repeat(np.array([each == "gyroscope" for each in sides], dtype=bool), counts)
     samples, windows_of, rates_of = _stretch(samples, part, delay)
 
     def of(its_side: Side, rows: slice) -> list[Array]:
@@ -209,13 +209,16 @@ def bordered(
     border = np.einsum("ian,pin->pna", reduced.on_direction, window)
     border[:, 1:] += np.einsum("ian,pin->pna", reduced.basis[:, :, 1:] * chain.link_scale, link)
     border[:, :-1] -= np.einsum("ian,pin->pna", reduced.basis[:, :, :-1] * chain.link_scale, link)
-    half, _ = dtbtrs(reduced.factor, border.reshape(count, 2 * n).T, uplo="L")
+    half = border.reshape(count, 2 * n).T
+    if count:  # LAPACK writes beyond the memory of no columns
+        half, _ = dtbtrs(reduced.factor, half, uplo="L")
     on_bias = np.zeros((theirs, 3, n - 1))
     on_bias[9:12] = -cross(state.direction[:, None, :-1], chain.windows.lever).swapaxes(0, 1)
     residuals = chain.residuals(state)
 
     def stacked(windows: Array, links: Array) -> Array:
-        return np.concatenate([windows.reshape(len(windows), -1), links.reshape(len(links), -1)], axis=1)
+        flat = [each.reshape(len(each), 3 * each.shape[-1]) for each in (windows, links)]
+        return np.concatenate(flat, axis=1)
 
     own = stacked(window, link)
     theta = stacked(reduced.on_parameters, on_bias * chain.link_scale)

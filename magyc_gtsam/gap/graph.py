@@ -48,13 +48,13 @@ def term_factor(
         calibration: the result of `find_gap`, or any calibration with noise and field strength; its other terms are
             not in the factor.
         term: one or several terms of the catalogue, with values in SI units. Effects of the same data belong in one
-            factor. A timing beside others is the delay of the chain; without one the calibration's delay is fixed.
+            factor. A timing is the delay of the chain; without one the calibration's delay is fixed.
         between: start and end of the interval, s since the first row; a window that begins at the end is not in it.
         window: length of a window, s.
         soft_iron_unit, field_unit: T per unit of the keys.
 
     Raises:
-        MagycError: a term that is not an effect on a reading, a tone, or a timing alone; not one key per term; a
+        MagycError: a term that is not an effect on a reading, or a tone; not one key per term; a
             channel that the recording lacks; a calibration without noise or field strength, or with the gyroscope in
             other axes than the recording's; an interval of fewer than 3 windows.
     """
@@ -108,8 +108,6 @@ def _check(calibration: Calibration, terms: Sequence[Term], own: Sequence[Term],
         )
     if not terms:
         raise MagycError("term: at least one term is needed, got none; without one use field_chain_factor")
-    if not own:
-        raise MagycError("a timing without another term: a delay is a variable of field_chain_factor")
     if len(terms) > len(own) + 1:
         raise MagycError(f"{len(terms) - len(own)} timings: a factor has one delay")
     if len(keys) != len(terms):
