@@ -577,6 +577,11 @@ def test_apply_of_a_calibration_of_another_instrument(
     assert finished.returncode == 1
     assert finished.stdout == ""
     assert re.search(r"must not be trusted: apply: .* median strength of \d+ µT", finished.stderr)
+    assert finished.stderr.endswith("; nothing was written, --force writes it\n")
+    assert not (tmp_path / "out.mcap").exists()
+    forced = run("apply", "other.yaml", logs / "dive.mcap", "-o", "out.mcap", "-q", "--force", cwd=tmp_path)
+    assert forced.returncode == 1
+    assert (tmp_path / "out.mcap").exists()
 
 
 def test_apply_in_other_gyroscope_axes(result: tuple[Finished, Path], logs: Path, tmp_path: Path) -> None:

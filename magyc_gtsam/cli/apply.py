@@ -35,7 +35,7 @@ def run(
             show_default=False,
         ),
     ],
-    force: Annotated[bool, typer.Option("--force", help="Also apply an untrusted calibration.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Also write a result that must not be trusted.")] = False,
     quiet: given.Quiet = False,
 ) -> int:
     """Apply a calibration to a log.
@@ -48,7 +48,7 @@ def run(
     options (units, axes) as for the calibration; an effect of a current or a temperature needs that channel in the log.
     An effect that is dated in the log in which it was found (a jump, a drift, a passed object, a tone) is corrected in
     that log: in another one a jump counts as set in from its start, the others are left out, and a note says so. An
-    untrusted calibration is refused with exit code 1, which is also that of a field unlike the Earth's. The output is
+    untrusted calibration, and one that gives a field unlike the Earth's, is refused with exit code 1. The output is
     marked as calibrated: `apply` and `history` refuse it as a LOG, other commands read it and note the mark.
     """
     from magyc_gtsam.calibration import Calibration
@@ -69,8 +69,8 @@ def run(
     if calibration.configuration.get("calibrated_before"):
         raise MagycError(f"{calibration_file}: {ONLY_THE_REST}")
     if not calibration.trusted and not force:
-        return refused(calibration)
-    with replacing(output) as part, stages(shown=not quiet) as stage:
+        return refused(judged(calibration).reason)
+    with stages(shown=not quiet) as stage:
         recording = reading.recording(stage("reading"))
         if is_calibrated(recording):
             raise MagycError(
@@ -81,19 +81,22 @@ def run(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             result = as_calibrated(with_equal_samples(calibrated(calibration, recording)))
+        doubts = [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
+        if doubts and not force:
+            return refused("; ".join(doubts))
         lag = lag_of(calibration.terms)
-        writing = stage("writing")
-        if output.suffix.lower() == ".mcap":
-            written, remark = _write_mcap(part, reading, result, lag, writing)
-        else:
-            written, remark = _write_csv(part, without_lag(result, lag), time_zero_of(recording)), ""
-        writing(1.0)
+        with replacing(output) as part:
+            writing = stage("writing")
+            if output.suffix.lower() == ".mcap":
+                written, remark = _write_mcap(part, reading, result, lag, writing)
+            else:
+                written, remark = _write_csv(part, without_lag(result, lag), time_zero_of(recording)), ""
+            writing(1.0)
     if not quiet:
         show(f"{output}: {written} samples of the calibrated field{remark}")
     notes = [*notes, *uneven(result)]
     for note in notes:  # of the values that were written, whether or not their number is shown
         complain(f"note: {note}")
-    doubts = [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
     for doubt in doubts:
         complain(f"the result must not be trusted: {doubt}")
     return concluded(judged(calibration)) or int(bool(doubts))

@@ -58,7 +58,7 @@ def run(
 
     calibration = Calibration.load(calibration_file)
     if not calibration.trusted and (write is not None or not force):
-        return refused(calibration)
+        return refused(judged(calibration).reason)
     text = exported(calibration, target, force=force, per_motor=per_motor, battery_voltage=battery_voltage)
     if write is not None:
         return _write(text, target, write)

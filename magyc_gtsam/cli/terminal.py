@@ -185,11 +185,8 @@ def concluded(verdict: Verdict, shown: bool = False) -> int:
     return 1
 
 
-def refused(calibration: Calibration) -> int:
-    """Print why an untrusted calibration is not written for use, and return the exit code."""
-    from magyc_gtsam.report.verdict import judged
-
-    reason = judged(calibration).reason
+def refused(reason: str) -> int:
+    """Print why what must not be used is not written, and return the exit code."""
     complain(f"the result must not be trusted: {reason}; nothing was written, --force writes it")
     return 1
 
