@@ -354,7 +354,7 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
             "calibrate {logs}/dive.mcap --delay soon",
             "--delay: must be a number of milliseconds or 'auto', got 'soon'",
         ),
-        ("calibrate {logs}/dive.mcap --delay 4994", "--delay: must be between -1000 and 1000 ms, got 4994"),
+        ("calibrate {logs}/dive.mcap --delay 10001", "--delay: must be between -10000 and 10000 ms, got 10001"),
         (
             "calibrate {logs}/dive.mcap --noise 1e-6 0.005",
             "--noise: the magnetometer's must be at least 1e-05 µT, got 1e-06; if it is in SI units, give 1 µT",

@@ -299,6 +299,21 @@ def test_delay_can_be_fixed():
     assert wrong.diagnostics["cost"] > 1.2 * known.diagnostics["cost"]
 
 
+def test_the_delay_that_is_found_can_be_given(monkeypatch):
+    """Stamps 1.3 s late gave a trusted delay, which was refused where it was given."""
+    recording = simulate("wide", duration=200, rate=10, seed=4, delay=1.3).recording
+    found = calibrate(recording)
+    assert found.trusted
+    assert found.delay == pytest.approx(1.3, abs=4 * found.delay_sigma)
+    assert calibrate(recording, delay=found.delay).trusted
+    with pytest.raises(MagycError, match="delay must be above -10 and below 10 s"):
+        calibrate(recording, delay=10.0)
+    monkeypatch.setattr("magyc_gtsam.estimators.smoother.reasons.MOST_DELAY", 1.0)
+    late = calibrate(recording)
+    assert not late.trusted
+    assert late.message.startswith("the magnetometer lags by 1.3 s, at most 1 s is tolerated: give both sensors")
+
+
 # --- hard iron, disturbances ---
 
 

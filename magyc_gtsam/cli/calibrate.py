@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from magyc_gtsam.report.verdict import Verdict
 
 _LEAST_NOISE = 1e-5  # µT and mrad/s per sample, a tenth of what the best sensors have; less was given in SI units
-_LONGEST_DELAY = 1000.0  # ms, that the smoother accepts
 _NOT_PLANNED = (
     *("field_strength", "location", "altitude", "date", "heading", "heading_sigma", "gyroscope_scale"),
     *("method", "delay", "robust", "window"),
@@ -176,6 +175,7 @@ def _method_options(
 ) -> dict[str, Any]:
     """Return the arguments of `magyc_gtsam.calibrate`, in SI units: those of --config, then what was given."""
     from magyc_gtsam.estimators.gauge import LARGEST_NOISE
+    from magyc_gtsam.estimators.smoother.options import MOST_DELAY
     from magyc_gtsam.factors.errors import MagycError
 
     options: dict[str, Any] = known | {"robust": robust, "window": window}
@@ -196,10 +196,9 @@ def _method_options(
             options["delay"] = float(str(delay)) * 1e-3
         except ValueError:
             raise MagycError(f"--delay: must be a number of milliseconds or 'auto', got {delay!r}") from None
-        if not abs(options["delay"]) <= _LONGEST_DELAY * 1e-3:
-            raise MagycError(
-                f"--delay: must be between -{_LONGEST_DELAY:g} and {_LONGEST_DELAY:g} ms, got {float(str(delay)):g}"
-            )
+        most = MOST_DELAY * 1e3
+        if not abs(options["delay"]) < MOST_DELAY:
+            raise MagycError(f"--delay: must be between -{most:g} and {most:g} ms, got {float(str(delay)):g}")
     if window is not None and not window > 0:
         raise MagycError(f"--window: must be more than 0 s, got {window:g}")
     given = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", pairs)

@@ -11,10 +11,12 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import check_field_strength, check_noise
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.units import LIMITS
 
 MOST_DRIFT = 0.1  # s/s, largest plausible drift of a clock
 MOST_SKEW = np.radians(45.0)
 MOST_SCALE = 0.1  # largest prior sigma of a gyroscope's scale; larger errors mean a wrong unit
+MOST_DELAY = LIMITS.delay  # s, of one that is given, and of one that is estimated and trusted
 MOST_HARD_IRON_WALK = 1.0  # T
 MOST_SOFT_IRON_WALK = 10.0
 FIELD_SIGMA = 150e-9  # T, sigma of the World Magnetic Model's strength by its error budget
@@ -104,7 +106,7 @@ class SmootherOptions:
         if self.turn is not None:
             _number("turn", self.turn, 0.0, np.pi, "rad")
         if self.delay is not None:
-            _number("delay", self.delay, -1.0, 1.0, "s")
+            _number("delay", self.delay, -MOST_DELAY, MOST_DELAY, "s")
         if not (isinstance(self.misalignment, str) and self.misalignment == "auto"):
             _number("misalignment", self.misalignment, -1e-15, MOST_SKEW, "rad, or 'auto'")
         _number("gyroscope_scale", self.gyroscope_scale, -1e-15, MOST_SCALE, "")

@@ -10,7 +10,8 @@ from magyc_gtsam.estimators.model_error.rest import moving
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.noise_levels import scatter
-from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.estimators.smoother.options import MOST_DELAY, SmootherOptions
+from magyc_gtsam.factors.chain.chain_values import DELAY
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Recording
 
@@ -107,6 +108,12 @@ def doubts_of(fit: Fit, field_strength: float, observability: Observability) -> 
         much = "; turning over sweeps some 90 along each" if swept.min() < 90 else ""
         reasons.append(
             f"{TOO_LITTLE_MOTION} (the field swept {along} µT along x, y, z{much}): {observability.weak[0].sentence}"
+        )
+    delay = float(fit.state.parameters[DELAY])
+    if not abs(delay) < MOST_DELAY:
+        reasons.append(
+            f"the magnetometer lags by {delay:.1f} s, at most {MOST_DELAY:g} s is tolerated: give both sensors stamps "
+            "of one clock (stamps='log')"
         )
     if not fit.converged:
         reasons.append(f"{NOT_CONVERGED} within {fit.iterations} iterations")
