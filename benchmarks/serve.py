@@ -37,7 +37,7 @@ def opened() -> Iterator[tuple[int, Any, Any]]:
     from playwright.sync_api import sync_playwright
 
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
-        command = [sys.executable, "-m", "magyc_gtsam.cli", "serve", "--folder", folder, "--port", "0"]
+        command = [sys.executable, "-m", "magyc_gtsam", "serve", "--folder", folder, "--port", "0"]
         server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert server.stdout is not None
         address = re.search(r"http\S+", server.stdout.readline())

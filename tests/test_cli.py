@@ -345,7 +345,7 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("calibrate {logs}/dive.mcap --magnetic-unit gauss", "is not a field in tesla"),
         ("calibrate {logs}/dive.mcap --method fluke", "'fluke' is not one of smoother"),
         ("calibrate {logs}/dive.mcap --magnetic-field /compass", "no topic '/compass'; the file has /imu/mag"),
-        ("calibrate {logs}/dive.mcap --start 900", "holds 0 rows of a recording of 239.9 s"),
+        ("calibrate {logs}/dive.mcap --start 900", "interval from 900 s: holds 0 rows of a recording of 239.9 s"),
         ("calibrate {logs}/dive.mcap --start 9 --end 5", "--start must be before --end, got 9 s and 5 s"),
         ("calibrate {logs}/dive.mcap -o {logs}/text.csv", "text.csv: expected a folder, this is a file"),
         ("calibrate {logs}/dive.mcap --option smooth=3", "no option 'smooth'; it has"),
@@ -604,6 +604,12 @@ def test_export(result: tuple[Finished, Path], tmp_path: Path) -> None:
     assert run("export", file, "px4", "-o", "px4.params", cwd=tmp_path).stdout == ""
     assert (tmp_path / "px4.params").read_bytes() == (result[1] / "px4.params").read_bytes()
     assert "'px3' is not one of 'px4'" in refused(run("export", file, "px3", cwd=tmp_path))
+
+
+def test_the_command_line_as_a_module() -> None:
+    command = [sys.executable, "-m", "magyc_gtsam", "--version"]
+    finished = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (finished.returncode, finished.stdout) == (0, f"magyc-gtsam {mg.__version__}\n")
 
 
 def test_info(logs: Path, tmp_path: Path) -> None:

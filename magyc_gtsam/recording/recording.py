@@ -199,9 +199,10 @@ class Recording:
         first, last = (-np.inf if start is None else start), (np.inf if end is None else end)
         rows = (since >= first) & (since <= last)
         if rows.sum() < 3:
+            ends = [f"{word} {at:g} s" for word, at in (("from", start), ("to", end)) if at is not None]
             raise MagycError(
-                f"interval {first:g} to {last:g} s holds {rows.sum()} rows of a recording of {since[-1]:.1f} s; "
-                "start and end count from the first row"
+                f"interval {' '.join(ends)}: holds {rows.sum()} rows of a recording of {since[-1]:.1f} s; start and "
+                "end count from the first row"
             )
         return self.rows(rows)
 

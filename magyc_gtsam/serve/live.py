@@ -126,7 +126,7 @@ class Live:
             *self._arguments,
         ]
         try:
-            self._process = await started("magyc_gtsam.cli", arguments, self._place, line=_LINE)
+            self._process = await started("magyc_gtsam", arguments, self._place, line=_LINE)
         except OSError as error:
             self._messages.append(str(error))
             self.state = "failed"
