@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import is_finite
-from magyc_gtsam.factors.variables import Array
 
 
 @dataclass(frozen=True)
