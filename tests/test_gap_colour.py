@@ -136,11 +136,13 @@ def test_an_effect_that_explains_nothing_beside_later_ones_is_left_out() -> None
     assert set(gap.names) == {"gyro-quadratic", "temperature-gyro"}
 
 
-def test_an_axis_with_more_noise_is_nothing_unknown() -> None:
-    """Half as much again on z, as of many sensors: it had a probability of 1, and the gap was refused."""
-    recording = mg.simulate("wide", 600, seed=41).recording
-    more = np.random.default_rng(41).standard_normal((len(recording.time), 3)) * [0.0, 0.0, 1.1e-6]
+@pytest.mark.parametrize(("motion", "seed"), [("wide", 43), ("moderate", 45)])
+def test_an_axis_with_more_noise_is_no_effect(motion: str, seed: int) -> None:
+    """Half as much again on z, as of many sensors: it was an unknown effect with a probability of 1, or wrong samples."""
+    recording = mg.simulate(motion, 600, seed=seed).recording
+    # The seed is another one than that of the simulation, whose noise would be the same numbers some samples later.
+    more = np.random.default_rng(9000 + seed).standard_normal((len(recording.time), 3)) * [0.0, 0.0, 1.1e-6]
     gap = mg.find_gap(replace(recording, magnetic_field=recording.magnetic_field + more))
-    assert gap.verdict in ("none", "closed")
-    assert gap.probabilities[UNKNOWN] < 0.3
+    assert gap.names == ()
+    assert gap.probabilities[UNKNOWN] < 0.5
     assert gap.calibration.trusted, gap.calibration.message

@@ -32,7 +32,9 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
 
     The mixture has one distribution more than the noise, which has two if the wider one is not rare.
     """
-    order, residual, square, hit = _outliers(innovation)
+    axes = np.sqrt(np.median(innovation**2, axis=1, keepdims=True))
+    axes /= np.sqrt((axes**2).mean())  # the noise of each, relative to all; of spikes a median knows nothing
+    order, residual, square, hit = _outliers(innovation / axes)
     noise, mixture = _one(square), _one(square).with_wider(square)
     if mixture.share[-1] >= RULES.rare:
         noise, mixture = mixture, mixture.with_wider(square)
@@ -50,7 +52,7 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     evidence = gain - RULES.chance
     single_ones = hit.sum() >= 2 and alone > RULES.spikes_alone and share < RULES.rare and apart
     total = max(float(belongs.sum()), 1e-9)
-    height = float(np.sqrt(belongs @ (residual**2).sum(axis=0) / (3 * total))) * level
+    height = float(np.sqrt(belongs @ ((axes * residual) ** 2).sum(axis=0) / (3 * total))) * level
     return NoiseScore(
         "spikes",
         2 * gain,
