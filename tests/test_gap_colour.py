@@ -138,7 +138,7 @@ def test_an_effect_that_explains_nothing_beside_later_ones_is_left_out() -> None
 
 @pytest.mark.parametrize(("motion", "seed"), [("wide", 43), ("moderate", 45)])
 def test_an_axis_with_more_noise_is_no_effect(motion: str, seed: int) -> None:
-    """Half as much again on z, as of many sensors: it was an unknown effect with a probability of 1, or wrong samples."""
+    """Half as much again on z, as of many sensors, was an unknown effect with a probability of 1, or wrong samples."""
     recording = mg.simulate(motion, 600, seed=seed).recording
     # The seed is another one than that of the simulation, whose noise would be the same numbers some samples later.
     more = np.random.default_rng(9000 + seed).standard_normal((len(recording.time), 3)) * [0.0, 0.0, 1.1e-6]
