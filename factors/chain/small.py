@@ -8,19 +8,20 @@ import numpy as np
 from scipy.linalg.lapack import dgesdd, dgesv, dpotrf, dsyevd, dtrtri
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import SingularError
 
 
 def solved(matrix: Array, right: Array) -> Array:
     """Return the solution x (k,) of matrix (k, k) · x = right (k,).
 
     Raises:
-        np.linalg.LinAlgError: the matrix is singular.
+        SingularError: the matrix is singular.
     """
     if not len(right):
         return right
     _, _, result, failed = dgesv(matrix, right)
     if failed:
-        raise np.linalg.LinAlgError("Singular matrix")
+        raise SingularError("the solution")
     return np.asarray(result)
 
 
@@ -33,11 +34,11 @@ def inverse(matrix: Array) -> Array:
     """Return the inverse of a matrix (k, k).
 
     Raises:
-        np.linalg.LinAlgError: the matrix is singular.
+        SingularError: the matrix is singular.
     """
     _, _, result, failed = dgesv(matrix, _identity(len(matrix)))
     if failed:
-        raise np.linalg.LinAlgError("Singular matrix")
+        raise SingularError("the solution")
     return np.asarray(result)
 
 
@@ -56,11 +57,11 @@ def eigenvectors(matrix: Array) -> tuple[Array, Array]:
     """Return the ascending eigenvalues (k,) of a symmetric matrix (k, k), and its eigenvectors in columns.
 
     Raises:
-        np.linalg.LinAlgError: the matrix is not finite.
+        SingularError: the matrix is not finite.
     """
     value, vector, failed = dsyevd(matrix, lower=1)
     if failed:
-        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        raise SingularError("the eigenvalues")
     return value, vector
 
 
@@ -68,9 +69,9 @@ def singular_vectors(matrix: Array) -> tuple[Array, Array]:
     """Return the descending singular values (k,) of a matrix (k, k), and its right singular vectors as rows.
 
     Raises:
-        np.linalg.LinAlgError: the matrix is not finite.
+        SingularError: the matrix is not finite.
     """
     _, value, vector, failed = dgesdd(matrix)
     if failed:
-        raise np.linalg.LinAlgError("Singular values did not converge")
+        raise SingularError("the singular values")
     return value, vector

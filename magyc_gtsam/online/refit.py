@@ -132,17 +132,17 @@ def refit(online: SmootherState) -> None:
         fit, samples = fit_samples(online, recording, search)
         if belief.past is not None:
             fit, samples = _with_soft_iron_of_now(online, recording, fit, samples)
+        estimate, report = _report(online, recording, fit, count)
+        if belief.past is not None and count >= LEAST_STABLE and not (report.converged and belief.stable):
+            alone = _without_past(online, recording, report)
+            if alone is not None:
+                fit, samples = alone
+                estimate, report = _report(online, recording, fit, count)
     except MagycError as problem:
         _give_up(online, problem)
         if later:
             restart_after_change(online, online.middle)
         return
-    estimate, report = _report(online, recording, fit, count)
-    if belief.past is not None and count >= LEAST_STABLE and not (report.converged and belief.stable):
-        alone = _without_past(online, recording, report)
-        if alone is not None:
-            fit, samples = alone
-            estimate, report = _report(online, recording, fit, count)
     if not report.converged and belief.past is None:
         try:
             axes.check(recording)  # a fit that starts at an earlier one leaves it out

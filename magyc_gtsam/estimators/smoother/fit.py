@@ -123,7 +123,8 @@ def inverse_information(information: Array, free: np.ndarray, least: float = 1e-
         result[kept] = inverse_information(own, np.ones(len(own), dtype=bool), least)
         return result
     scale = 1 / np.sqrt(np.maximum(information.diagonal(), 1e-300))
-    scaled = information * scale * scale[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):  # not finite: has no eigenvalues below
+        scaled = information * scale * scale[:, None]
     root = inverse_root(scaled)
     # No eigenvalue is less than the reciprocal of the inverse's trace, so that here none is below the bound.
     if root is not None and np.vdot(root, root) * max(least, _ROUNDED) < 1:

@@ -11,6 +11,7 @@ from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.small import inverse, solved
 from magyc_gtsam.factors.chain.vech import unvech, vech
+from magyc_gtsam.factors.errors import SingularError
 
 _LAG = 3.0  # s between the windows compared by the linear start
 _PAIRS = 200  # pairs of windows that suffice for a start
@@ -90,5 +91,5 @@ def _solved(normal: Array, right: Array) -> Array:
     """Return the solution of normal equations, that of least norm if they are singular."""
     try:
         return solved(normal, right)
-    except np.linalg.LinAlgError:
+    except SingularError:
         return np.linalg.lstsq(normal, right, rcond=None)[0].astype(np.float64, copy=False)

@@ -17,6 +17,7 @@ from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.small import inverse_root
+from magyc_gtsam.factors.errors import SingularError
 
 ROUNDING = 1e-12  # ridge added to the information, as a share of the column's squared norm; rounding is 1e-15
 _BIAS = np.arange(9, 12)
@@ -108,7 +109,7 @@ class Estimated:
         scaled.flat[:: len(scale) + 1] += ROUNDING
         root = inverse_root(scaled)
         if root is None:
-            raise np.linalg.LinAlgError("Matrix is not positive definite")
+            raise SingularError("the inverse")
         return root
 
 
