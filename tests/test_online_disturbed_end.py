@@ -1,14 +1,15 @@
-"""The newest windows of a long log are disturbed: a reading given the windows before them says so."""
+"""The newest windows of a log disagree with those before them, after which something may have changed for good."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from magyc_gtsam import OnlineCalibrator, Recording
+from magyc_gtsam import OnlineCalibrator, Recording, calibrate
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.reasons import disturbed_end
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.simulation import HARD_IRON
+from magyc_gtsam.simulation import HARD_IRON, simulate
 from magyc_gtsam.study.faults.signals import record
 
 CHANGED = 250.0  # s, after more than the horizon
@@ -36,9 +37,8 @@ def test_a_step_that_is_not_yet_found_is_not_trusted_once_its_windows_are_reject
             away = calibration.hard_iron - HARD_IRON - STEP
             assert (np.abs(away) < 3 * calibration.sigma["hard_iron"]).all()
         elif calibration.message.startswith("the field is disturbed in the last "):
-            assert calibration.message.endswith(
-                " s, where the iron may have changed for good: keep turning until that is decided"
-            )
+            assert "the iron or the gyroscope's bias may have changed for good" in calibration.message
+            assert calibration.message.endswith(": keep turning until that is decided")
             assert converged  # the search for a step goes on from the last refit
             told += 1
     assert told > 5
@@ -58,3 +58,28 @@ def test_the_end_of_a_recording_is_given_by_its_times():
     fit = fit_field_chain(recording, SmootherOptions())
     assert disturbed_end(fit, 0.0).startswith("the field is disturbed from 28")
     assert disturbed_end(fit).startswith("the field is disturbed in the last ")
+
+
+def late_jump(seed: int, share: float, size: float) -> tuple[Recording, np.ndarray]:
+    """Return a log in whose last part the gyroscope has another bias, and that one."""
+    simulated = simulate("wide", 300, 20, seed=seed, magnetometer_noise=3e-7, gyroscope_noise=1e-3)
+    recording, jump = simulated.recording, size * np.array([1.0, -1.0, 1.0])
+    late = recording.time > (1 - share) * 300
+    rate = recording.angular_rate + late[:, None] * jump
+    return Recording(recording.time, recording.magnetic_field, rate), simulated.truth.gyro_bias + jump
+
+
+@pytest.mark.parametrize(("share", "size"), [(0.05, 1e-2), (0.1, 3e-3), (0.2, 1e-2)])
+def test_a_late_jump_of_the_gyroscopes_bias_is_doubted_or_in_its_sigma(share: float, size: float) -> None:
+    """It was trusted with the bias before the jump, at up to 1,300 sigmas."""
+    for seed in (3, 4):
+        recording, bias = late_jump(seed, share, size)
+        calibration = calibrate(recording)
+        away = np.abs(calibration.gyro_bias - bias) / calibration.sigma["gyro_bias"]
+        assert not calibration.trusted or away.max() < 3, (calibration.message, away)
+
+
+def test_without_a_jump_the_gyroscope_is_trusted() -> None:
+    calibration = calibrate(late_jump(3, 0.1, 0.0)[0])
+    assert calibration.trusted
+    assert calibration.sigma["gyro_bias"].max() < 2e-4

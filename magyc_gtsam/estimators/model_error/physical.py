@@ -237,6 +237,9 @@ PHYSICAL = (
         other_shapes=drifts.OTHER_LATE,
     ),
     _drift("gyroscope:bias drift", "the gyroscope's bias drifts by ±{}", drifts.BIAS, 0.015, LIKELY, "rate"),
+    _drift(
+        "gyroscope:late jump", "the gyroscope's bias jumps by {} late", drifts.LATE_BIAS, 0.015, GENERAL, "rate"
+    ),
     ColumnFamily(
         "gyroscope:scale",
         "the gyroscope's scale is off by {}, which calibrate estimates (gyroscope_scale=)",

@@ -46,18 +46,21 @@ def disturbed_end(fit: Fit, first: float | None = None) -> str:
     """Return a sentence on a disturbance that lasts to the end of what was fitted; "" if there is none.
 
     The iron may have changed for good there: a ramp of 8 µT over the last tenth was rejected as a disturbance, and the
-    calibration of what was before trusted, 9° off at the end.
+    calibration of what was before trusted, 9° off at the end. So may the gyroscope's bias where its turns are rejected:
+    after a jump by 10 mrad/s in the last twentieth the one before it was trusted, 700 sigmas off.
 
     Args:
         fit: of a recording, or of the end of a longer one.
         first: stamp, s, of the recording's first row, from which times count; None where the recording goes on.
     """
-    if fit.weights.window.min() >= _LEAST_TRUSTED:
+    weight = fit.weights.window.copy()
+    weight[1:] = np.minimum(weight[1:], fit.weights.link)
+    if weight.min() >= _LEAST_TRUSTED:
         return ""
     windows = fit.chain.windows
     kept = moving(windows.time, windows.rotation)
     time, length = windows.time[kept], np.minimum(np.gradient(windows.time), _LONG)[kept]
-    rejected = np.cumsum(_LEAST_TRUSTED - fit.weights.window[kept][::-1])  # from each window to the end
+    rejected = np.cumsum(_LEAST_TRUSTED - weight[kept][::-1])  # from each window to the end
     if not rejected.max(initial=0.0) > 0:
         return ""
     last = int(np.argmax(rejected)) + 1
@@ -68,7 +71,7 @@ def disturbed_end(fit: Fit, first: float | None = None) -> str:
     else:
         when = f"from {time[-last] - first:.0f} s to the end"
         remedy = "choose an interval before it (end=), or record on after a change"
-    return f"the field is disturbed {when}, where the iron may have changed for good: {remedy}"
+    return f"the field is disturbed {when}, where the iron or the gyroscope's bias may have changed for good: {remedy}"
 
 
 def misfits(fit: Fit, field_strength: float, observable: bool) -> list[str]:
