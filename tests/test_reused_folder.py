@@ -105,7 +105,7 @@ def test_a_run_replaces_what_any_command_wrote(dives: Path, tmp_path: Path) -> N
         "many": (["calibrate", both], 0, ["index.html", "calibrations.csv"]),
     }
     folder.mkdir()
-    own = {"report.pdf", "index.html", "notes.txt", "calibration.yaml.bak"}
+    own = {"report.pdf", "index.html", "comparison.csv", "gap.json", "notes.txt", "calibration.yaml.bak"}
     for name in own:
         (folder / name).write_text("of the user")
     assert main(["calibrate", good, "-q", "-o", str(folder)]) == 0

@@ -27,10 +27,12 @@ def remove_results(folder: Path) -> None:
 
     The folders that `calibrate` makes for each of many logs are folders of results of their own, and stay.
     """
-    for name in (*EXPORTS.values(), *_TABLES):
+    for name in EXPORTS.values():
         (folder / name).unlink(missing_ok=True)
-    for file in (*(folder / name for name in _MARKED), *(folder / _EACH).glob("*.yaml")):
-        if file.is_file() and _MARK.search(file.read_bytes()):
-            file.unlink()
+    files = (*(folder / name for name in _MARKED), *(folder / _EACH).glob("*.yaml"))
+    own = [file for file in files if file.is_file() and _MARK.search(file.read_bytes())]
+    # A table has no mark: it is one of these commands beside a file that has one.
+    for file in (*own, *(folder / name for name in _TABLES if own)):
+        file.unlink(missing_ok=True)
     with suppress(OSError):  # there is none, or it has other files
         (folder / _EACH).rmdir()
