@@ -23,10 +23,10 @@ from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided, t
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, Stacked
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import begin, descend
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain
 from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.facts import LinearFact
-from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.simulation import HARD_IRON
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import score

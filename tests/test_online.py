@@ -9,11 +9,11 @@ import pytest
 
 from magyc_gtsam import MagycError, OnlineCalibrator, Recording, calibrate, read, simulate
 from magyc_gtsam.estimators.smoother.fit import begin, descend
+from magyc_gtsam.estimators.smoother.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.online.buffers import SampleBuffer
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal
 from magyc_gtsam.recording import Samples
 
 

@@ -11,9 +11,9 @@ from test_online import feed
 
 from magyc_gtsam import OnlineCalibrator, calibrate, read, simulate
 from magyc_gtsam.estimators.smoother.fit import begin, descend
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.online.change_point import find_step, in_sensor, step_profile
-from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.online.restart import find_earlier_change
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.signals import record

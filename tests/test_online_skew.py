@@ -9,13 +9,13 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.io import write_mcap
-from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation.sensor import SOFT_IRON
 from magyc_gtsam.study.efficiency import error, nees

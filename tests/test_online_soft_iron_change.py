@@ -10,9 +10,9 @@ from test_online import feed
 
 import magyc_gtsam.online.refit as refits
 from magyc_gtsam import MagycError, OnlineCalibrator, simulate
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain, fitted
 from magyc_gtsam.estimators.smoother.skew import skew_prior_fact, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
-from magyc_gtsam.online.marginal import ContinuedChain, fitted
 from magyc_gtsam.online.soft_iron_change import _beside, _columns, soft_iron_change
 
 AT = 400.0  # s

@@ -7,7 +7,7 @@ from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import OnlineCalibrator, simulate
-from magyc_gtsam.online.recent_change import recent_change
+from magyc_gtsam.estimators.model_error.recent_change import recent_change
 from magyc_gtsam.simulation import HARD_IRON
 from magyc_gtsam.study.faults.signals import record
 

@@ -24,11 +24,11 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain, fitted
 from magyc_gtsam.estimators.smoother.noise_levels import misfit
 from magyc_gtsam.factors.chain.chain_values import PARAMETERS, ChainState, Reduced, SensorNoise, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.online.marginal import ContinuedChain, fitted
 
 LIMIT = 40.0  # smallest λ of a step; benchmarks/online.py counts the false alarms
 MARGIN = 20.0  # lead in λ from which a step is fixed in the sensor rather than the world

@@ -14,12 +14,12 @@ from itertools import pairwise
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import Fit, colour_of
+from magyc_gtsam.estimators.smoother.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted, widened
 from magyc_gtsam.estimators.smoother.noise_levels import squares_and_redundancies, weigh
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted, widened
 from magyc_gtsam.online.report import with_misalignment
 from magyc_gtsam.online.state import SmootherState
 

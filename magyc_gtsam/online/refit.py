@@ -11,6 +11,7 @@ from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother import axes
 from magyc_gtsam.estimators.smoother.clock_drift import with_drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.marginal import BIAS, ContinuedChain, continued
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import (
@@ -33,7 +34,6 @@ from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.buffers import IntegratedWindows
-from magyc_gtsam.online.marginal import BIAS, ContinuedChain, continued
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
 from magyc_gtsam.online.report import LEAST_STABLE, drift_of, observable, report_of, testable
 from magyc_gtsam.online.restart import restart_after_change, restart_at_convergence

@@ -13,11 +13,11 @@ from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain
 from magyc_gtsam.estimators.smoother.reasons import disturbed_end
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import skew_of, widened
 from magyc_gtsam.estimators.smoother.smoother import calibration_of
-from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.online.state import Estimate, SmootherState
 from magyc_gtsam.recording import Array, Recording
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, continued, fitted
 from magyc_gtsam.estimators.smoother.noise_levels import weigh
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.chain_values import DELAY, ChainState, Weights
@@ -20,7 +21,6 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.change_point import NO_PLACE, TURNED, Step, find_step, turned
 from magyc_gtsam.online.engine import Change
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, continued, fitted
 from magyc_gtsam.online.report import observable, report_of
 from magyc_gtsam.online.state import FIRST, SmootherState
 

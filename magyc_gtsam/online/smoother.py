@@ -2,7 +2,7 @@
 
 Windows are cut as the batch method cuts them. The chain falls into three parts:
 
-    past   a marginal (`online.marginal`) of all windows whose samples were dropped;
+    past   a marginal (`estimators.smoother.marginal`) of all windows whose samples were dropped;
     head   windows whose samples are kept; marginalised, and refitted from the samples from time to time;
     tail   the last 24 to 56 windows; fitted from the samples after every six windows.
 
@@ -22,16 +22,16 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error.component import Component
+from magyc_gtsam.estimators.model_error.recent_change import recent_change
 from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.marginal import continued
 from magyc_gtsam.estimators.smoother.smoother import prior_contradictions
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.change_point import LARGE, SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
-from magyc_gtsam.online.marginal import continued
 from magyc_gtsam.online.random_walk import advance_filter, fit_random_walk
-from magyc_gtsam.online.recent_change import recent_change
 from magyc_gtsam.online.refit import REFIT_GROWTH, SHORTEST_TAIL, fit_samples, refit, refit_from_windows
 from magyc_gtsam.online.report import drift_of, report_of, testable, with_doubt
 from magyc_gtsam.online.restart import restart, restart_after_change

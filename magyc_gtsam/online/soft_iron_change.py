@@ -22,13 +22,13 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain, Marginal, continued
 from magyc_gtsam.estimators.smoother.skew import widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.banded import forward_solved
 from magyc_gtsam.factors.chain.chain_values import SKEW, WITH_SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.online.marginal import ContinuedChain, Marginal, continued
 
 SOFT_IRON = slice(0, 6)
 _CERTAIN = 50.0  # nats beyond which evidence does not count

@@ -14,6 +14,7 @@ from magyc_gtsam.estimators.model_error.model_error import ModelError
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, slowed
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.known import known_of
+from magyc_gtsam.estimators.smoother.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import skew_prior
 from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
@@ -23,7 +24,6 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.numbers import is_finite
 from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.engine import Change
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, fitted
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.axes import OWN_AXES
 from magyc_gtsam.storage.json_types import from_typed_json, typed_json

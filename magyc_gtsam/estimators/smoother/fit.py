@@ -33,6 +33,7 @@ _UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the direction
 _ROUNDING = 1e-9  # tolerance on the cost, which is close to zero for noise-free data
 _SLOW_LAGS = 8  # windows, over which autocorrelations are added
 _ROUNDED = 1e-8  # eigenvalue of a scaled information below which rounding may matter to its inverse
+_REJECTED = 0.5  # weight
 COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
@@ -60,6 +61,11 @@ class Fit(Minimum):
     def hopeless(self) -> bool:
         """Whether the start is abandoned."""
         return not self.converged and self.iterations > self.patience
+
+    @property
+    def rejects(self) -> bool:
+        """Whether a window or a link has a weight below a half."""
+        return float(min(self.weights.window.min(), self.weights.link.min())) < _REJECTED
 
     def with_skew_estimate(self, skew: Skew) -> Fit:
         """Return a copy with the given misalignment estimate; cached properties are kept."""

@@ -18,6 +18,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import IronScale, doubt_strength, fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.model_error.physical import LATE_DRIFT
+from magyc_gtsam.estimators.model_error.recent_change import RECENT, recent_change
 from magyc_gtsam.estimators.model_error.verdict import variation
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
@@ -68,14 +69,17 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         recording, fit, lambda again: fit_field_chain(again, options, start=near)
     )
     unexplained = model_error(fit, recording)
+    change = recent_change(fit) if fit.rejects else None
+    unexplained = unexplained if change is None else unexplained.beside(change)
     doubts = prior_contradictions(recording, options, fit, unexplained)
     calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
     stretches = disturbed_stretches(recording, fit, options)
-    change = hard_iron_change(recording, stretches, fit, calibration, options)
-    doubt = "" if change is None else change.sentence(recording)
+    changed = hard_iron_change(recording, stretches, fit, calibration, options)
+    doubt = "" if changed is None else changed.sentence(recording)
     if not doubt and len(stretches) and calibration.trusted:
-        # A drift towards the end would be the very change.
-        whole = calibration_of(recording, fit, options, unexplained=unexplained.without(LATE_DRIFT))
+        # A drift or a change towards the end would be the very change.
+        others = unexplained.without(LATE_DRIFT).without(RECENT)
+        whole = calibration_of(recording, fit, options, unexplained=others)
         doubt = instrument_change(recording, stretches, whole, options, _of)
     if not doubt and calibration.trusted:
         doubt = disturbed_end(fit, float(recording.time[0]))
@@ -89,7 +93,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
 
     drift = find_drift(recording, fit, calibration.converged, refit)
     drift = None if drift is None else drift._replace(known=options.clock_drift)
-    if options.gyroscope_scale and change is None and not (drift is not None and drift.harms):
+    if options.gyroscope_scale and changed is None and not (drift is not None and drift.harms):
         corrected, fit, doubt = with_scale(recording, fit, options)
         doubts = [doubt, *doubts] if doubt else doubts
         calibration = calibration_of(corrected, fit, options, doubts=doubts)

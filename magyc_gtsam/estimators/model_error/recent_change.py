@@ -2,9 +2,9 @@
 
 A robust fit rejects the windows after a change as disturbed, or a single link where the field's direction jumps, and
 keeps the calibration from before it, as certain as it was, until they are many; if the change is small, it mixes both.
-At a reading, a change is therefore looked for before the newest 2, 4, 8, … windows, by its score, all windows since
-counting alike, and where the windows or links that are rejected begin. From where one is possible, the windows are
-fitted again, given the marginal of those before them, with each of
+At the end of a log, and at a reading online, a change is therefore looked for before the newest 2, 4, 8, … windows, by
+its score, all windows since counting alike, and where the windows or links that are rejected begin. From where one is
+possible, the windows are fitted again, given the marginal of those before them, with each of
 
     iron    another soft and hard iron. Steel beside a sensor need not have a symmetric soft iron: it may turn the field
             as well, which is a misalignment of the chips;
@@ -29,6 +29,7 @@ import numpy as np
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.components import likeliest
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.marginal import ContinuedChain, Marginal, continued, fitted
 from magyc_gtsam.estimators.smoother.noise_levels import truncated
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.banded import forward_solved
@@ -36,8 +37,8 @@ from magyc_gtsam.factors.chain.chain_values import PARAMETERS, SKEW, WITH_SKEW, 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.marginal import ContinuedChain, Marginal, continued, fitted
 
+RECENT = "recent change"
 _IRON = slice(0, 9)  # soft iron times field strength, and hard iron: T
 _FEWEST = 3  # windows before a change
 _ALIGNED = 1e-5  # rad, standard deviation of a misalignment that was not corrected, before a change
@@ -92,7 +93,7 @@ def recent_change(fit: Fit, colour: float | None = None) -> Component | None:
     best = found[int(np.argmax(share))]
     second = np.einsum("k,kij->ij", share, [each.second for each in found])
     size, words = _described(best, strength)
-    return Component("recent change", words, size, best.evidence, second, share=float(share.sum()))
+    return Component(RECENT, words, size, best.evidence, second, share=float(share.sum()))
 
 
 def _described(change: _Change, strength: float) -> tuple[float, str]:
