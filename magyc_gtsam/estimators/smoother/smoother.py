@@ -68,9 +68,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     recording, fit, truncated = without_truncation(
         recording, fit, lambda again: fit_field_chain(again, options, start=near)
     )
-    unexplained = model_error(fit, recording)
-    change = recent_change(fit) if fit.rejects else None
-    unexplained = unexplained if change is None else unexplained.beside(change)
+    unexplained = _unexplained(fit, recording)
     doubts = prior_contradictions(recording, options, fit, unexplained)
     calibration = calibration_of(recording, fit, options, doubts=doubts, unexplained=unexplained)
     stretches = disturbed_stretches(recording, fit, options)
@@ -96,9 +94,17 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     if options.gyroscope_scale and changed is None and not (drift is not None and drift.harms):
         corrected, fit, doubt = with_scale(recording, fit, options)
         doubts = [doubt, *doubts] if doubt else doubts
-        calibration = calibration_of(corrected, fit, options, doubts=doubts)
+        unexplained = _unexplained(fit, corrected)
+        calibration = calibration_of(corrected, fit, options, doubts=doubts, unexplained=unexplained)
     report(1.0)
     return with_truncation(with_drift(calibration, drift), truncated)
+
+
+def _unexplained(fit: Fit, recording: Recording) -> ModelError:
+    """Return the model error, with that by a change of the instrument if the fit rejects windows or links."""
+    error = model_error(fit, recording)
+    change = recent_change(fit) if fit.rejects else None
+    return error if change is None else error.beside(change)
 
 
 def _of(recording: Recording, options: SmootherOptions) -> Calibration:
