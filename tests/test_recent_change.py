@@ -1,4 +1,4 @@
-"""Readings just after a change of the iron, before the change is found."""
+"""Readings just after a change of the instrument, before it is found, and a change at the end of a log."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam import OnlineCalibrator, simulate
-from magyc_gtsam.estimators.model_error.recent_change import recent_change
+from magyc_gtsam import OnlineCalibrator, Recording, calibrate, simulate
+from magyc_gtsam.estimators.model_error.recent_change import RECENT, recent_change
 from magyc_gtsam.simulation import HARD_IRON
 from magyc_gtsam.study.faults.signals import record
 
@@ -75,3 +75,16 @@ def test_a_change_does_not_hide_behind_the_correlation_that_it_causes_in_a_short
     assert recent_change(fit, engine.last.colour).share > 0.5
     named = {each["name"] for each in online.calibration.diagnostics["model_error"]["components"]}
     assert "recent change" in named
+
+
+def test_at_the_end_of_a_log_a_turn_of_the_magnetometer_is_looked_for_as_online():
+    """Where it is turned late about the vertical the fit rejects one link only, and kept the calibration from before."""
+    simulated = simulate("wide", 300, 20, seed=0, magnetometer_noise=3e-7, gyroscope_noise=1e-3).recording
+    for angle, found in ((np.radians(6.0), 1), (0.0, 0)):
+        turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+        late = (simulated.time > 255)[:, None]
+        field = np.where(late, simulated.magnetic_field @ turn.T, simulated.magnetic_field)
+        calibration = calibrate(Recording(simulated.time, field, simulated.angular_rate))
+        names = [each["name"] for each in calibration.diagnostics["model_error"]["components"]]
+        assert names.count(RECENT) == found
+        assert calibration.trusted == (not found)

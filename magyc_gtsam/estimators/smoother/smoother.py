@@ -74,11 +74,11 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     stretches = disturbed_stretches(recording, fit, options)
     changed = hard_iron_change(recording, stretches, fit, calibration, options)
     doubt = "" if changed is None else changed.sentence(recording)
-    if not doubt and len(stretches) and calibration.trusted:
+    if not doubt and len(stretches):
         # A drift or a change towards the end would be the very change.
         others = unexplained.without(LATE_DRIFT).without(RECENT)
         whole = calibration_of(recording, fit, options, unexplained=others)
-        doubt = instrument_change(recording, stretches, whole, options, _of)
+        doubt = instrument_change(recording, stretches, whole, options, _of) if whole.trusted else ""
     if not doubt and calibration.trusted:
         doubt = disturbed_end(fit, float(recording.time[0]))
     if doubt:
