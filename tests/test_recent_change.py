@@ -78,7 +78,7 @@ def test_a_change_does_not_hide_behind_the_correlation_that_it_causes_in_a_short
 
 
 def test_at_the_end_of_a_log_a_turn_of_the_magnetometer_is_looked_for_as_online():
-    """Where it is turned late about the vertical the fit rejects one link only, and kept the calibration from before."""
+    """Turned about the vertical, one link only is rejected, and the calibration from before was kept."""
     simulated = simulate("wide", 300, 20, seed=0, magnetometer_noise=3e-7, gyroscope_noise=1e-3).recording
     for angle, found in ((np.radians(6.0), 1), (0.0, 0)):
         turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
