@@ -341,7 +341,10 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
     [
         ("calibrate {logs}/text.csv", "text.csv"),
         ("calibrate {logs}/field.mcap", "no angular rate"),
-        ("calibrate {logs}/dive.mcap --magnetic-unit furlong", "'furlong' is unknown; there are T, mT, uT"),
+        (
+            "calibrate {logs}/dive.mcap --magnetic-unit furlong",
+            "'furlong' is unknown; there are T, mT, uT, nT, gauss, mgauss, counts (--magnetic-unit)",
+        ),
         ("calibrate {logs}/dive.mcap --magnetic-unit gauss", "is not a field in tesla"),
         ("calibrate {logs}/dive.mcap --method fluke", "'fluke' is not one of smoother"),
         ("calibrate {logs}/dive.mcap --magnetic-field /compass", "no topic '/compass'; the file has /imu/mag"),

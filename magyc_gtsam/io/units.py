@@ -63,7 +63,8 @@ def factor(quantity: str, unit: str | float | None) -> float:
         return 1.0
     known = lookup(quantity, unit)
     if known is None:
-        raise MagycError(f"unit of {quantity}: {unit!r} is unknown; there are {_SHOWN[quantity]}")
+        argument = f"{quantity.partition('_')[0]}_unit="
+        raise MagycError(f"unit of {quantity}: {unit!r} is unknown; there are {_SHOWN[quantity]} ({argument})")
     return known
 
 
