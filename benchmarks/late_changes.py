@@ -52,9 +52,12 @@ def trusted_and_wrong(motion, seed, by, what, share, size):
     bias = change(own, what, share, size) if size else own.bias
     recording = own.recording()
     try:
-        *_, (found, trusted, time) = looks(recording, by)
-    except (mg.MagycError, ValueError):  # no calibration
+        every = list(looks(recording, by))
+    except mg.MagycError:
+        every = []
+    if not every:  # no calibration
         return False, False
+    found, trusted, time = every[-1]
     if what != "gyroscope's bias":
         return trusted, judged(found, own, time)[0]
     off = np.abs(found.gyro_bias - bias)

@@ -22,14 +22,14 @@ _WARM = 300.0  # s, in which a sensor warms up; a shorter log has its share of t
 
 
 _ONSET = 0.85  # share of a recording after which a late drift begins
-JUMPS = (0.7, 0.85, 0.93, 0.97)  # the same of late jumps of the gyroscope's bias
+_JUMPS = (0.7, 0.85, 0.93, 0.97)  # shares of a recording after which the gyroscope's bias may jump
 _EACH_OFFSET, _EACH_BIAS = np.eye(PARAMETERS)[:, 6:9], np.eye(PARAMETERS)[:, 9:12]
 # (6, 3) share of a change of each row of the soft iron in the entries of its symmetric part.
 _OF_ROW = 0.5 * sum(np.equal.outer(side, np.arange(3)) for side in UPPER)
 
 
-class LinearDrift(NamedTuple):
-    """A linear drift: its columns, and (13, k) the parameters at the end less their means, per unit of each."""
+class Drift(NamedTuple):
+    """A change over a recording, linear or by jumps: its columns, and (13, k) the parameters at the end less their means, per unit of each."""
 
     columns: Callable[[WindowMotion], UnmodelledColumns]
     at_end: Callable[[WindowMotion], Array]
@@ -93,20 +93,20 @@ def _late(motion: WindowMotion, onset: float = _ONSET) -> UnmodelledColumns:
 def _late_bias(motion: WindowMotion) -> UnmodelledColumns:
     """Return the columns of a gyroscope bias that jumps, three for each of the shares of the recording."""
     share = (motion.time - motion.time[0]) / (motion.time[-1] - motion.time[0])
-    return motion.slowly_about_each_axis((share > np.array(JUMPS)[:, None]).astype(float))
+    return motion.slowly_about_each_axis((share > np.array(_JUMPS)[:, None]).astype(float))
 
 
 def _late_bias_at_end(motion: WindowMotion) -> Array:
     """Return (13, k) the gyroscope bias after all jumps, per unit of each column: most of a log is before them."""
-    return np.tile(_EACH_BIAS, len(JUMPS))
+    return np.tile(_EACH_BIAS, len(_JUMPS))
 
 
-LATE_BIAS = LinearDrift(_late_bias, _late_bias_at_end)
-LATE = LinearDrift(_late, _offset_at_end)
+LATE_BIAS = Drift(_late_bias, _late_bias_at_end)
+LATE = Drift(_late, _offset_at_end)
 OTHER_LATE = tuple(partial(_late, onset=onset) for onset in (0.5, 0.7, 0.93))
-GAIN = LinearDrift(_gain, _gain_at_end)
-OFFSET = LinearDrift(_offset, _offset_at_end)
-BIAS = LinearDrift(_bias, _bias_at_end)
+GAIN = Drift(_gain, _gain_at_end)
+OFFSET = Drift(_offset, _offset_at_end)
+BIAS = Drift(_bias, _bias_at_end)
 
 
 def waves_at_end(waves: tuple[int, int], of_bias: bool = False) -> Callable[[WindowMotion], Array]:

@@ -161,8 +161,8 @@ def _unless_negligible(amplitude: float) -> float:
     return amplitude if amplitude > _LEAST_FILTER else 0.0
 
 
-def _drift(name: str, place: str, drift: drifts.LinearDrift, most: float, prior: float, unit: str) -> ColumnFamily:
-    """Return the family of a linear drift."""
+def _drift(name: str, place: str, drift: drifts.Drift, most: float, prior: float, unit: str) -> ColumnFamily:
+    """Return the family of a drift."""
     likely = drifts.up_to(most)
     return ColumnFamily(
         name, place, drift.columns, most, prior=prior, unit=unit, at_end=drift.at_end, expected=likely
@@ -238,7 +238,12 @@ PHYSICAL = (
     ),
     _drift("gyroscope:bias drift", "the gyroscope's bias drifts by ±{}", drifts.BIAS, 0.015, LIKELY, "rate"),
     _drift(
-        "gyroscope:late jump", "the gyroscope's bias jumps by {} late", drifts.LATE_BIAS, 0.015, GENERAL, "rate"
+        "gyroscope:late jump",
+        "the gyroscope's bias jumps by {} towards the end",
+        drifts.LATE_BIAS,
+        0.015,
+        GENERAL,
+        "rate",
     ),
     ColumnFamily(
         "gyroscope:scale",

@@ -57,7 +57,7 @@ class _Belief:
     odds_of_place: float = 1.0
     # Standard deviation of an element of a change, as a share of the field strength: the least, and the largest
     least: float = 0.02
-    most: float = 0.04  # larger steps of the hard iron are found after a few windows (`change_point`)
+    most: float = 0.04  # larger steps of the hard iron are found online after a few windows, or by `iron_change`
     turn: float = 0.1  # rad an axis, the same of a turn; of the place, a share of the field, as its rival
     broken: int = 2400  # newest windows in which a change is looked for where windows or links are rejected
     unlikely: float = -7.0  # logarithm of the odds below which a change is left out

@@ -33,7 +33,7 @@ _UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the direction
 _ROUNDING = 1e-9  # tolerance on the cost, which is close to zero for noise-free data
 _SLOW_LAGS = 8  # windows, over which autocorrelations are added
 _ROUNDED = 1e-8  # eigenvalue of a scaled information below which rounding may matter to its inverse
-_REJECTED = 0.5  # weight
+_REJECTED = 0.5  # weight of a window or a link, below which it is rejected
 COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 

@@ -23,7 +23,7 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 _ORDER = 12  # maximum order of the autoregression
 _MEDIAN = 2.366  # of χ²₃
 _LOCAL = 201  # samples in the median of the local scale: its error of 7 % gives white noise no tails worth a nat
-_LEAST = 0.01  # of the global scale, lower limit of the local scale
+_LEAST = 0.01  # of the global scale, lower limit of the local scale and of that of an axis
 _PASSES = 8  # of replacing wrong samples in the neighbours that others are compared with
 
 
@@ -32,8 +32,10 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
 
     The mixture has one distribution more than the noise, which has two if the wider one is not rare.
     """
-    axes = np.sqrt(np.median(innovation**2, axis=1, keepdims=True))
-    axes /= np.sqrt((axes**2).mean())  # the noise of each, relative to all; of spikes a median knows nothing
+    axes = np.sqrt(
+        np.median(innovation**2, axis=1, keepdims=True)
+    )  # the noise of each, which spikes hardly change
+    axes = np.maximum(axes / max(float(np.sqrt((axes**2).mean())), np.finfo(float).tiny), _LEAST)
     order, residual, square, hit = _outliers(innovation / axes)
     noise, mixture = _one(square), _one(square).with_wider(square)
     if mixture.share[-1] >= RULES.rare:
