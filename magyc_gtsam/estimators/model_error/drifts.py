@@ -29,7 +29,12 @@ _OF_ROW = 0.5 * sum(np.equal.outer(side, np.arange(3)) for side in UPPER)
 
 
 class Drift(NamedTuple):
-    """A change over a recording, linear or by jumps: its columns, and (13, k) the parameters at the end less their means, per unit of each."""
+    """A change over a recording, linear or by jumps.
+
+    Attributes:
+        columns: function that computes its columns from a motion.
+        at_end: function that computes (13, k) the parameters at the end less their means, per unit of each column.
+    """
 
     columns: Callable[[WindowMotion], UnmodelledColumns]
     at_end: Callable[[WindowMotion], Array]
