@@ -28,7 +28,7 @@ _EACH_OFFSET, _EACH_BIAS = np.eye(PARAMETERS)[:, 6:9], np.eye(PARAMETERS)[:, 9:1
 _OF_ROW = 0.5 * sum(np.equal.outer(side, np.arange(3)) for side in UPPER)
 
 
-class Drift(NamedTuple):
+class SensorDrift(NamedTuple):
     """A change over a recording, linear or by jumps.
 
     Attributes:
@@ -106,12 +106,12 @@ def _late_bias_at_end(motion: WindowMotion) -> Array:
     return np.tile(_EACH_BIAS, len(_JUMPS))
 
 
-LATE_BIAS = Drift(_late_bias, _late_bias_at_end)
-LATE = Drift(_late, _offset_at_end)
+LATE_BIAS = SensorDrift(_late_bias, _late_bias_at_end)
+LATE = SensorDrift(_late, _offset_at_end)
 OTHER_LATE = tuple(partial(_late, onset=onset) for onset in (0.5, 0.7, 0.93))
-GAIN = Drift(_gain, _gain_at_end)
-OFFSET = Drift(_offset, _offset_at_end)
-BIAS = Drift(_bias, _bias_at_end)
+GAIN = SensorDrift(_gain, _gain_at_end)
+OFFSET = SensorDrift(_offset, _offset_at_end)
+BIAS = SensorDrift(_bias, _bias_at_end)
 
 
 def waves_at_end(waves: tuple[int, int], of_bias: bool = False) -> Callable[[WindowMotion], Array]:

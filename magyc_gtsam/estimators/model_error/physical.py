@@ -161,7 +161,7 @@ def _unless_negligible(amplitude: float) -> float:
     return amplitude if amplitude > _LEAST_FILTER else 0.0
 
 
-def _drift(name: str, place: str, drift: drifts.Drift, most: float, prior: float, unit: str) -> ColumnFamily:
+def _drift(name: str, place: str, drift: drifts.SensorDrift, most: float, prior: float, unit: str) -> ColumnFamily:
     """Return the family of a drift."""
     likely = drifts.up_to(most)
     return ColumnFamily(
